@@ -1,0 +1,58 @@
+# Everything this project can do, from a fresh clone: `make demo`, `make test`. `make help` lists the rest.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+EXTRAS ?= test
+DEMO := demo-forest
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test test-all lint format bench figures sample clean
+
+help: ## list these targets
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[$(EXTRAS)]'
+	@touch $@
+
+install: $(VENV)/.installed ## make .venv and install the program into it
+
+demo: install ## populate the sample city and show where to look
+	$(BIN)/urbanforest populate data_samples/sample_city.gpkg -o $(DEMO)
+	@echo
+	@echo "Look at:  $(DEMO)/map.png       the planted city"
+	@echo "          $(DEMO)/report.html   counts, warnings, typical lots"
+	@echo "          $(DEMO)/register.gpkg every plant, styled, for QGIS"
+	@echo "Your own: $(BIN)/urbanforest populate CITY.gpkg"
+
+test: install ## run the tests (without the slow ones)
+	$(BIN)/python -m pytest -q -m "not slow"
+
+test-all: install ## run all tests, the slow ones too
+	$(BIN)/python -m pytest -q
+
+lint: install ## check format, style and types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy urbanforest_cli
+
+format: install ## put the code into format
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: install ## measure speed as ratios in one run
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test,bench]'
+	$(BIN)/python -m benchmarks
+
+figures: install ## render the paper's placement figures
+	$(BIN)/urbanforest figures -o figures
+
+sample: install ## make the sample city again
+	$(BIN)/urbanforest synth --lots 360 --seed 7 --sample -o data_samples/sample_city.gpkg --overwrite
+
+clean: ## remove what was made
+	rm -rf $(VENV) $(DEMO) figures build dist .pytest_cache .mypy_cache .ruff_cache

@@ -1,0 +1,259 @@
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pyogrio
+import pytest
+import shapely
+
+from urbanforest_cli.core.errors import BusyError, InputError, OutputExistsError, PartlyDoneError
+from urbanforest_cli.core.publish import folder_lock, sha256_of
+from urbanforest_cli.files.configs import load_config
+from urbanforest_cli.files.geopackage import read_layer, write_layers
+from urbanforest_cli.pipeline import WORK_FOLDER, Request, plan, populate
+
+OUTPUTS = ["map.png", "plants.geojson", "register.gpkg", "report.html", "report.json"]
+
+
+@pytest.fixture(scope="session")
+def sample_city(tmp_path_factory):
+    from urbanforest_cli.synth.stage import make_city
+
+    path = tmp_path_factory.mktemp("sample") / "city.gpkg"
+    make_city(path, lot_count=60, seed=3)
+    return path
+
+
+def request(city, out, seed=1, **changes):
+    settings = changes.pop("settings", ())
+    config = load_config(settings=["export.map_width_px=300", *settings], environment={}).config
+    return Request(city=city, out=out, config=config, seed=seed, **changes)
+
+
+def plants_of(out):
+    plants = read_layer(out / "register.gpkg", "plants")
+    return plants.sort_values("plant_id").reset_index(drop=True)
+
+
+def same(one, other, tolerance_m=0.0):
+    assert one["plant_id"].tolist() == other["plant_id"].tolist()
+    assert one["species"].tolist() == other["species"].tolist()
+    gap = np.hypot(one.geometry.x - other.geometry.x, one.geometry.y - other.geometry.y)
+    assert gap.max() <= tolerance_m
+
+
+def test_a_city_in_a_planted_city_out(sample_city, tmp_path):
+    summaries = populate(request(sample_city, tmp_path / "out"))
+    assert [summary.stage for summary in summaries] == ["stencil", "diffuse", "place", "export"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == OUTPUTS
+    register = tmp_path / "out" / "register.gpkg"
+    lots = read_layer(register, "lots")
+    plants = read_layer(register, "plants")
+    skipped = read_layer(register, "skipped", geometry=False)
+    planted = set(plants["lot_id"])
+    assert len(plants) > 100
+    assert planted | set(skipped["lot_id"]) == set(lots["lot_id"])
+    assert not planted & set(skipped["lot_id"])
+    assert len(skipped) == len(set(skipped["lot_id"]))
+
+
+def test_plants_stand_in_their_ground_and_apart(sample_city, tmp_path):
+    populate(request(sample_city, tmp_path / "out", until="place", settings=["zones.default.strategy=random"]))
+    register = tmp_path / "out" / "register.gpkg"
+    plants = read_layer(register, "plants")
+    areas = read_layer(register, "active_areas").set_index("lot_id").geometry
+    own = shapely.prepare(areas.to_numpy())
+    own = areas.reindex(plants["lot_id"]).to_numpy()
+    assert shapely.contains(own, plants.geometry.to_numpy()).all()
+    strategies = read_layer(register, "parameters", geometry=False).set_index("lot_id")["strategy"]
+    for lot_id, group in plants.groupby("lot_id"):
+        if strategies[lot_id] in {"random", "boundary", "cluster"} and len(group) > 1:
+            xy = shapely.get_coordinates(group.geometry.to_numpy())
+            r = group["envelope_radius_m"].to_numpy()
+            gap = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1)) - r[:, None] - r[None]
+            assert gap[np.triu_indices(len(r), 1)].min() >= 0
+
+
+def test_a_second_run_does_nothing_and_a_changed_config_does_what_it_must(sample_city, tmp_path):
+    out = tmp_path / "out"
+    populate(request(sample_city, out))
+    hashes = {name: sha256_of(out / name) for name in OUTPUTS}
+    again = populate(request(sample_city, out))
+    assert all(summary.up_to_date for summary in again)
+    assert {name: sha256_of(out / name) for name in OUTPUTS} == hashes
+    assert [step["would"] for step in plan(request(sample_city, out))] == ["keep"] * 4
+    changed = request(sample_city, out, settings=["context.passes=0"])
+    assert [step["would"] for step in plan(changed)] == ["keep", "run", "run", "run"]
+    assert [summary.up_to_date for summary in populate(changed)] == [True, False, False, False]
+
+
+def test_an_output_that_was_changed_or_removed_is_written_again(sample_city, tmp_path):
+    out = tmp_path / "out"
+    populate(request(sample_city, out))
+    before = sha256_of(out / "plants.geojson")
+    (out / "plants.geojson").write_text("{}")
+    populate(request(sample_city, out))
+    assert sha256_of(out / "plants.geojson") == before
+
+
+def test_one_changed_lot_is_placed_again_and_the_result_is_that_of_a_full_run(sample_city, tmp_path):
+    city = tmp_path / "city.gpkg"
+    shutil.copy(sample_city, city)
+    settings = ["context.passes=0"]
+    populate(request(city, tmp_path / "out", until="place", settings=settings))
+    lots = pyogrio.read_dataframe(city, layer="lots")
+    lots.loc[5, "geometry"] = shapely.buffer(lots.geometry[5], -1.0)
+    pyogrio.write_dataframe(lots, city, layer="lots", driver="GPKG")
+    summary = populate(request(city, tmp_path / "out", until="place", settings=settings))[-1]
+    total = summary.counts["lots_planted"] + summary.counts["lots_skipped"]
+    assert summary.counts["lots_reused"] > 0.7 * total
+    populate(request(city, tmp_path / "full", until="place", settings=settings))
+    pd.testing.assert_frame_equal(plants_of(tmp_path / "out"), plants_of(tmp_path / "full"))
+
+
+@pytest.mark.parametrize("workers", [2, 4])
+def test_the_number_of_workers_does_not_matter(sample_city, tmp_path, workers, monkeypatch):
+    monkeypatch.setattr("urbanforest_cli.placement.stage.LOTS_A_BATCH", 7)
+    populate(request(sample_city, tmp_path / "one", until="place"))
+    populate(request(sample_city, tmp_path / "many", until="place", workers=workers))
+    same(plants_of(tmp_path / "one"), plants_of(tmp_path / "many"))
+
+
+def test_the_order_of_lots_does_not_matter(sample_city, tmp_path):
+    city = tmp_path / "shuffled.gpkg"
+    shutil.copy(sample_city, city)
+    for layer in ("lots", "buildings"):
+        frame = pyogrio.read_dataframe(city, layer=layer).sample(frac=1, random_state=5)
+        pyogrio.write_dataframe(frame, city, layer=layer, driver="GPKG")
+    populate(request(sample_city, tmp_path / "one", until="place"))
+    populate(request(city, tmp_path / "two", until="place"))
+    same(plants_of(tmp_path / "one"), plants_of(tmp_path / "two"), tolerance_m=1e-6)
+
+
+@pytest.mark.parametrize("code", [4326, 3857])
+def test_the_crs_of_the_lots_does_not_matter(sample_city, tmp_path, code):
+    city = tmp_path / "other.gpkg"
+    frames, types = {}, {}
+    for name, kind in pyogrio.list_layers(sample_city):
+        if kind is not None:
+            frames[name] = pyogrio.read_dataframe(sample_city, layer=name).to_crs(code)
+            types[name] = kind
+    write_layers(city, frames, fresh=True, geometry_types=types)
+    populate(request(sample_city, tmp_path / "one", until="place"))
+    populate(request(city, tmp_path / "two", until="place"))
+    one, two = plants_of(tmp_path / "one"), plants_of(tmp_path / "two")
+    assert two.crs.to_epsg() == code
+    same(one, two.to_crs(one.crs), tolerance_m=1e-3)
+
+
+def test_stopping_early_and_going_on_is_a_full_run(sample_city, tmp_path):
+    for until in ("stencil", "diffuse", "place"):
+        populate(request(sample_city, tmp_path / "steps", until=until))
+    populate(request(sample_city, tmp_path / "whole", until="place"))
+    pd.testing.assert_frame_equal(plants_of(tmp_path / "steps"), plants_of(tmp_path / "whole"))
+
+
+KILLER = """
+import os, sys
+calls, target = 0, int(sys.argv[3])
+def counted(function):
+    def call(*arguments, **options):
+        global calls
+        calls += 1
+        if calls == target:
+            os.kill(os.getpid(), 9)
+        return function(*arguments, **options)
+    return call
+os.replace, os.fsync, os.open = counted(os.replace), counted(os.fsync), counted(os.open)
+from pathlib import Path
+from urbanforest_cli.files.configs import load_config
+from urbanforest_cli.pipeline import Request, populate
+config = load_config(settings=["export.map_width_px=300"], environment={}).config
+populate(Request(city=Path(sys.argv[1]), out=Path(sys.argv[2]), config=config, seed=int(sys.argv[4])))
+print("calls", calls)
+"""
+
+
+def killed_run(city, out, target, seed=1):
+    arguments = [sys.executable, "-c", KILLER, str(city), str(out), str(target), str(seed)]
+    return subprocess.run(arguments, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.slow
+def test_a_killed_run_leaves_old_or_new_and_the_next_goes_on(sample_city, tmp_path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    wanted = tmp_path / "wanted"
+    calls = int(killed_run(sample_city, wanted, -1).stdout.split()[-1])
+    old = tmp_path / "old"
+    killed_run(sample_city, old, -1, seed=2)
+    hashes = {name: {sha256_of(old / name), sha256_of(wanted / name)} for name in OUTPUTS}
+    for target in range(1, calls + 1, max(1, calls // 25)):
+        out = tmp_path / f"killed-{target}"
+        shutil.copytree(old, out)
+        assert killed_run(sample_city, out, target).returncode == -9
+        for name in OUTPUTS:
+            assert sha256_of(out / name) in hashes[name], f"{name} is torn after a kill at call {target}"
+        assert killed_run(sample_city, out, -1).returncode == 0
+        assert sorted(path.name for path in out.iterdir()) == OUTPUTS
+        assert plants_of(out).equals(plants_of(wanted))
+
+
+def test_a_run_that_was_killed_is_gone_on_with(sample_city, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+
+    def stopped(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("urbanforest_cli.pipeline.place_plants", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            populate(request(sample_city, out))
+    assert [path.name for path in out.iterdir()] == [WORK_FOLDER]
+    summaries = populate(request(sample_city, out))
+    assert [summary.up_to_date for summary in summaries] == [True, True, False, False]
+    assert sorted(path.name for path in out.iterdir()) == OUTPUTS
+
+
+def test_two_runs_in_one_folder_are_refused(sample_city, tmp_path):
+    with folder_lock(tmp_path / "out"), pytest.raises(BusyError):
+        populate(request(sample_city, tmp_path / "out"))
+
+
+def test_output_over_input_is_refused(sample_city, tmp_path):
+    for out in (sample_city, sample_city.parent):
+        with pytest.raises(OutputExistsError):
+            populate(request(sample_city, out))
+
+
+def test_a_folder_of_other_things_is_refused(sample_city, tmp_path):
+    (tmp_path / "map.png").write_text("mine")
+    with pytest.raises(OutputExistsError, match=r"map\.png"):
+        populate(request(sample_city, tmp_path))
+    (tmp_path / "map.png").unlink()
+    (tmp_path / "register.gpkg").write_text("mine")
+    with pytest.raises(InputError):
+        populate(request(sample_city, tmp_path))
+
+
+def test_too_many_bad_lots_are_told_with_exit_code_3_and_the_rest_is_written(tiny_city, tmp_path):
+    lots = pyogrio.read_dataframe(tiny_city, layer="lots")
+    lots.loc[0, "geometry"] = None
+    pyogrio.write_dataframe(lots, tiny_city, layer="lots", driver="GPKG")
+    for _ in range(2):  # a second run that does nothing says so too
+        with pytest.raises(PartlyDoneError) as caught:
+            populate(request(tiny_city, tmp_path / "out"))
+        assert caught.value.exit_code == 3
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == OUTPUTS
+    populate(request(tiny_city, tmp_path / "out", max_bad_fraction=0.5))
+
+
+def test_the_report_vouches_for_every_output(sample_city, tmp_path):
+    populate(request(sample_city, tmp_path / "out"))
+    report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    for item in report["outputs"]:
+        path = tmp_path / "out" / item["name"]
+        assert sha256_of(path) == item["sha256"]
+        assert path.stat().st_size == item["bytes"]

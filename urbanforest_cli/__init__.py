@@ -1,0 +1,3 @@
+"""urbanforest: fill a city with trees."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,1 @@
+"""The terminal: the only folder that speaks click; a file a subcommand."""

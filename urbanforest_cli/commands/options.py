@@ -1,0 +1,183 @@
+"""Options that mean the same in every command, and how results are told."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from urbanforest_cli.core.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from urbanforest_cli.core.config import Config
+    from urbanforest_cli.core.summary import StageSummary
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+LOG_EVERY_S = 30.0
+
+
+class FilePath(click.Path):
+    """A path, as `pathlib.Path`; whether it can be used is for the stage to say."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+
+config_opt = click.option(
+    "-c", "--config", "config_path", type=FilePath(), metavar="CONFIG.toml",
+    help="Config file, or the name of a shipped one such as paper/positional_a.",
+)  # fmt: skip
+set_opt = click.option(
+    "--set", "settings", multiple=True, metavar="KEY=VALUE",
+    help="Set one config key, for example rules.building_clearance_m=5. Repeatable.",
+)  # fmt: skip
+seed_opt = click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Root of every random stream.")
+json_opt = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
+workers_opt = click.option(
+    "--workers", type=click.IntRange(1, 1024), default=1, show_default=True,
+    help="Threads to work with; the result is the same for any number.",
+)  # fmt: skip
+assume_crs_opt = click.option("--assume-crs", metavar="EPSG:CODE", help="CRS of input that states none.")
+overwrite_opt = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+max_bad_opt = click.option(
+    "--max-bad", "max_bad_fraction", type=click.FloatRange(0, 1), default=0.1, show_default=True,
+    help="Share of lots with unusable geometry above which the exit code is 3.",
+)  # fmt: skip
+layer_opt = click.option("--layer", "lots_layer", metavar="NAME", help="Layer that holds the lots.")
+register_arg = click.argument("register", type=FilePath())
+
+
+def _verbosity(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value:
+        ctx.meta["urbanforest.verbosity"] = parameter.name
+
+
+def talk_opts(function: Function) -> Function:
+    """Add ``-v``, ``-q`` and ``--debug``."""
+    for names, text in (
+        (("-v", "--verbose"), "Tell more."),
+        (("-q", "--quiet"), "Tell nothing but errors."),
+    ):
+        function = click.option(*names, is_flag=True, expose_value=False, callback=_verbosity, help=text)(function)
+    return click.option(
+        "--debug", is_flag=True, expose_value=False, help="Show the traceback of a fault of this program."
+    )(function)
+
+
+def stack(*decorators: Callable[[Function], Function]) -> Callable[[Function], Function]:
+    """Apply options so that help lists them in the order given."""
+
+    def apply(function: Function) -> Function:
+        for decorator in reversed(decorators):
+            function = decorator(function)
+        return function
+
+    return apply
+
+
+config_opts = stack(config_opt, set_opt, seed_opt)
+
+
+def quiet() -> bool:
+    """Tell whether the user asked for silence."""
+    return verbosity() == "quiet"
+
+
+def verbosity() -> str | None:
+    """Return what the user asked for: verbose, quiet or nothing."""
+    context = click.get_current_context(silent=True)
+    return context.meta.get("urbanforest.verbosity") if context is not None else None
+
+
+def load(config_path: Path | None, settings: Iterable[str], seed: int | None) -> tuple[Config, int]:
+    """Load the config in force and the seed."""
+    from urbanforest_cli.core.params import strategy_names
+    from urbanforest_cli.files.configs import load_config
+
+    config = load_config(config_path, settings=tuple(settings), seed=seed, known_strategies=strategy_names()).config
+    return config, config.seed
+
+
+@contextmanager
+def progress() -> Iterator[Progress]:
+    """Yield a progress bar on a terminal, plain lines now and then in a log, nothing when quiet.
+
+    Everything goes to standard error; standard output is for results.
+    """
+    logging.basicConfig(
+        level=logging.DEBUG if verbosity() == "verbose" else logging.WARNING,
+        stream=sys.stderr,
+        format="%(levelname)s %(name)s: %(message)s",
+    )
+    logging.getLogger("numba").setLevel(logging.WARNING)
+    logging.getLogger("matplotlib").setLevel(logging.WARNING)
+    if quiet():
+        yield silent
+    elif sys.stderr.isatty():
+        with _bar() as bar:
+            yield bar
+    else:
+        yield _LogLines()
+
+
+@contextmanager
+def _bar() -> Iterator[Progress]:
+    from rich.console import Console
+    from rich.progress import BarColumn, TaskID, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
+
+    tasks: dict[str, TaskID] = {}
+    columns = (TextColumn("{task.description:<28}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
+    with Bars(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as bars:
+
+        def report(task: str, done: int, total: int) -> None:
+            if task not in tasks:
+                tasks[task] = bars.add_task(task, total=total)
+            bars.update(tasks[task], completed=done, total=total)
+
+        yield report
+
+
+class _LogLines:
+    """One line when a task begins, one when it ends, and one every half minute between."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, float] = {}
+
+    def __call__(self, task: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if task not in self._last or done >= total or now - self._last[task] >= LOG_EVERY_S:
+            if self._last.get(task) == float("inf"):
+                return
+            share = f" {done}/{total}" if total > 1 else ""
+            click.echo(f"{task}{share}" + (" done" if done >= total else ""), err=True)
+            self._last[task] = float("inf") if done >= total else now
+
+
+def tell(summaries: Iterable[StageSummary], as_json: bool) -> None:
+    """Tell what stages did: a few lines, or JSON."""
+    summaries = list(summaries)
+    if as_json:
+        records = [summary.as_record() for summary in summaries]
+        click.echo(json.dumps(records[0] if len(records) == 1 else records, indent=2, ensure_ascii=False))
+        return
+    if quiet():
+        return
+    for summary in summaries:
+        state = "up to date" if summary.up_to_date else f"{summary.seconds:.1f} s"
+        counts = ", ".join(f"{_number(value)} {name.replace('_', ' ')}" for name, value in summary.counts.items())
+        click.echo(f"{summary.stage:<9} {state:>10}  {counts}")
+        for notice in summary.notices:
+            click.echo(f"  warning: {notice.line()}", err=True)
+
+
+def _number(value: float | str) -> str:
+    return f"{value:,}" if isinstance(value, int) else f"{value:.3g}" if isinstance(value, float) else str(value)

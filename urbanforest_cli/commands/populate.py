@@ -1,0 +1,78 @@
+"""``urbanforest populate``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from urbanforest_cli.commands import options
+
+
+@click.command(short_help="Fill a city with plants: all stages, and the files people open.")
+@click.argument("city", type=options.FilePath())
+@click.option("-o", "--output", "out", type=options.FilePath(), help="Folder to write to.  [default: CITY-forest]")
+@options.config_opts
+@click.option(
+    "--until", type=click.Choice(["stencil", "diffuse", "place", "export"]), default="export", show_default=True,
+    help="Last stage to run.",
+)  # fmt: skip
+@options.workers_opt
+@options.assume_crs_opt
+@options.layer_opt
+@options.max_bad_opt
+@click.option("--dry-run", is_flag=True, help="Tell what would be done and write nothing.")
+@options.json_opt
+@options.talk_opts
+def command(
+    city: Path,
+    out: Path | None,
+    config_path: Path | None,
+    settings: tuple[str, ...],
+    seed: int | None,
+    until: str,
+    workers: int,
+    assume_crs: str | None,
+    lots_layer: str | None,
+    max_bad_fraction: float,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
+    """Fill CITY, a GeoPackage with a layer of lots, with plants.
+
+    Writes register.gpkg, plants.geojson, map.png, report.html and report.json. A second run does again only what
+    changed; a run that was stopped is gone on with.
+
+    \b
+    Example:
+        urbanforest populate rome.gpkg
+        urbanforest populate rome.gpkg -o rome-dense -c dense.toml --seed 7
+    """
+    from urbanforest_cli import pipeline
+
+    config, seed = options.load(config_path, settings, seed)
+    request = pipeline.Request(
+        city=city,
+        out=out or pipeline.default_out(city),
+        config=config,
+        seed=seed,
+        until=until,
+        workers=workers,
+        assume_crs=assume_crs,
+        lots_layer=lots_layer,
+        max_bad_fraction=max_bad_fraction,
+    )
+    if dry_run:
+        steps = pipeline.plan(request)
+        if as_json:
+            click.echo(json.dumps(steps, indent=2))
+        else:
+            for step in steps:
+                click.echo(f"{step['would']:>5}  {step['stage']}")
+        return
+    with options.progress() as progress:
+        summaries = pipeline.populate(request, progress=progress)
+    options.tell(summaries, as_json)
+    if not as_json and not options.quiet():
+        click.echo(f"Wrote {request.out}")

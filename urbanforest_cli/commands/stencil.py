@@ -1,0 +1,70 @@
+"""``urbanforest stencil``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from urbanforest_cli.commands import options
+
+
+@click.command(short_help="Make a register from a city.")
+@click.argument("city", type=options.FilePath())
+@click.option(
+    "-o", "--output", "register", type=options.FilePath(), required=True, metavar="REGISTER", help="Register to write."
+)
+@options.config_opts
+@options.workers_opt
+@options.assume_crs_opt
+@options.layer_opt
+@options.max_bad_opt
+@options.overwrite_opt
+@options.json_opt
+@options.talk_opts
+def command(
+    city: Path,
+    register: Path,
+    config_path: Path | None,
+    settings: tuple[str, ...],
+    seed: int | None,
+    workers: int,
+    assume_crs: str | None,
+    lots_layer: str | None,
+    max_bad_fraction: float,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Make REGISTER from CITY: clean lots, and the ground in each where plants may stand.
+
+    Reads layer lots (or the only polygon layer) and, where they are, buildings, roads, driveways, entrances,
+    obstacles and sketches; writes lots, active_areas, parameters and skipped.
+
+    \b
+    Example:
+        urbanforest stencil rome.gpkg -o rome-forest/register.gpkg
+    """
+    from urbanforest_cli.core.errors import OutputExistsError
+    from urbanforest_cli.core.params import strategy_names
+    from urbanforest_cli.core.publish import folder_lock
+    from urbanforest_cli.register.stage import refuse_too_many_bad, stencil_city
+
+    if register.exists() and not overwrite:
+        raise OutputExistsError(
+            "the register exists", where=register, next_step="name another with -o, or add --overwrite"
+        )
+    config, seed = options.load(config_path, settings, seed)
+    with folder_lock(register.parent), options.progress() as progress:
+        summary = stencil_city(
+            city,
+            register,
+            config=config,
+            seed=seed,
+            workers=workers,
+            assume_crs=assume_crs,
+            lots_layer=lots_layer,
+            known_strategies=strategy_names(),
+            progress=progress,
+        )
+    options.tell([summary], as_json)
+    refuse_too_many_bad(summary, max_bad_fraction, city)

@@ -1,0 +1,1 @@
+"""Context: neighbouring lots share their parameters."""

@@ -1,0 +1,1 @@
+"""Words every stage speaks: parameters, config, schema, randomness, errors, publishing."""

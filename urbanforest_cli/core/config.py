@@ -1,0 +1,192 @@
+"""The config as one checked object; every mistake of a file is found in one pass.
+
+`configs/default.toml` holds the values of the zones; the defaults here are those of the rules.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator, model_validator
+
+from urbanforest_cli.core.params import PARAMETERS, STRATEGY_LETTERS
+
+Metres = Annotated[float, Field(strict=True, ge=0, le=1000, allow_inf_nan=False)]
+
+
+class Section(BaseModel):
+    """A table of the config: unknown keys are refused, values are frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, str_strip_whitespace=True)
+
+
+class Rules(Section):
+    """Planting rules: how far plants stay from what is built (paper, section Planting Rules)."""
+
+    building_clearance_m: Metres = Field(6.0, description="distance of plants from building walls")
+    neighbour_buildings: bool = Field(True, description="also keep away from buildings of other lots")
+    driveway_clearance_m: Metres = Field(1.5, description="distance from driveways")
+    driveway_width_m: Metres = Field(3.0, description="width of a driveway given as a line")
+    door_depth_m: Metres = Field(9.0, description="free depth in front of a door, from the wall")
+    door_width_m: Metres = Field(3.0, description="free width in front of a door given as a point")
+    window_depth_m: Metres = Field(7.5, description="free depth in front of a window, from the wall")
+    window_width_m: Metres = Field(2.0, description="free width in front of a window given as a point")
+    curb_clearance_m: Metres = Field(0.75, description="distance of plants from the curb, the road's edge")
+    sidewalk_width_m: Metres = Field(1.5, description="width kept free beyond the planted strip along a road")
+    verge_width_m: Metres = Field(2.5, description="width of the planted strip along a road")
+    sight_triangle_m: Metres = Field(9.0, description="leg of the triangle kept free at road intersections")
+    road_width_m: Metres = Field(7.0, description="width of a road that states none")
+    derive_street_lots: bool = Field(True, description="make street lots from roads where the register has none")
+    obstacle_clearance_m: dict[str, Metres] = Field(
+        default_factory=lambda: {
+            "default": 1.5,
+            "hydrant": 3.0,
+            "mast": 3.0,
+            "pipe": 2.0,
+            "water": 1.0,
+            "rail": 6.0,
+            "tree": 2.0,
+        },
+        description="distance from an obstacle, by its kind",
+    )
+    min_area_m2: Annotated[float, Field(strict=True, ge=0, le=1e6)] = Field(
+        1.0, description="smallest piece of ground planted"
+    )
+
+    @field_validator("obstacle_clearance_m")
+    @classmethod
+    def _has_default(cls, value: dict[str, float]) -> dict[str, float]:
+        return {"default": 1.5, **value}
+
+
+class Placement(Section):
+    """How the samplers work."""
+
+    radius_law: Literal["kept", "redrawn"] = Field(
+        "kept", description="kept: a radius is drawn once and placed where it fits; redrawn: the paper's literal law"
+    )
+    radius_stop: Literal["mean", "min", "max"] = Field(
+        "mean", description="a gap counts as long as a plant of this radius fits in it"
+    )
+    sigma_is: Literal["variance", "sd"] = Field("variance", description="what radius_variance_m2 means")
+    radius_cut_sd: Annotated[float, Field(strict=True, gt=0, le=6)] = Field(
+        2.0, description="truncation, in standard deviations"
+    )
+    radius_min_m: Annotated[float, Field(strict=True, gt=0, le=10)] = Field(0.5, description="smallest radius drawn")
+    conflict: Literal["lot", "city"] = Field("lot", description="whose plants keep apart: a lot's own, or all")
+    density_law: Literal["hash", "exact"] = Field("hash", description="hash: each plant by itself; exact: by count")
+    boundary_of: Literal["lot", "area"] = Field("lot", description="whose edge the boundary strategy follows")
+    cluster_count: Literal["uniform", "max"] = Field("uniform", description="clusters: 1 to the maximum, or it")
+    lattice_phase: Literal["centred", "random"] = Field("centred", description="where the lattice starts")
+    max_plants_per_lot: Annotated[int, Field(strict=True, ge=1)] = Field(
+        2_000_000, description="a lot over this is refused"
+    )
+
+
+class Context(Section):
+    """Diffusion of parameters between neighbouring lots (paper, equation 4)."""
+
+    passes: Annotated[int, Field(strict=True, ge=0, le=100)] = Field(
+        1, description="how often values are diffused, 0 is off"
+    )
+    sigma_fraction: Annotated[float, Field(strict=True, gt=0, le=10)] = Field(
+        1 / 3, description="standard deviation of the Gaussian as a share of the context radius"
+    )
+    scope: Literal["all", "zone", "strategy"] = Field("all", description="which neighbours share their values")
+
+
+class Species(Section):
+    """Which species the city has."""
+
+    names: tuple[str, ...] | None = Field(None, description="species of the city; all of the catalogue if unset")
+    folder: str | None = Field(None, description="folder with more species files")
+    hardiness_zone: Annotated[int, Field(strict=True, ge=1, le=13)] | None = Field(
+        None, description="USDA zone of the city; species that do not live there are left out"
+    )
+    dominant: str | None = Field(None, description="dominant species everywhere; drawn for each lot if unset")
+
+
+class Growth(Section):
+    """Reserved for growing the plants."""
+
+
+class Export(Section):
+    """What is written beside the register."""
+
+    map_width_px: Annotated[int, Field(strict=True, ge=200, le=20000)] = Field(2400, description="width of map.png")
+
+
+_RULE_OVERRIDES: dict[str, Any] = {
+    name: (item.rebuild_annotation() | None, Field(None, description=item.description))
+    for name, item in Rules.model_fields.items()
+    if name not in {"derive_street_lots", "obstacle_clearance_m"}
+}
+ZoneRules = create_model("ZoneRules", __base__=Section, **_RULE_OVERRIDES)
+
+
+def _zone_fields() -> dict[str, Any]:
+    return {
+        p.name: (
+            Annotated[float, Field(strict=True, ge=p.minimum, le=p.maximum, allow_inf_nan=False)] | None,
+            Field(None, description=f"{p.doc} [{p.unit}], paper's {p.symbol}, table range {p.low:g}-{p.high:g}"),
+        )
+        for p in PARAMETERS.values()
+    }
+
+
+class _ZoneBase(Section):
+    strategy: dict[str, float] | None = Field(None, description="strategy names with weights")
+    rules: ZoneRules | None = Field(None, description="planting rules of this zone alone")
+    colour: str | None = Field(None, pattern=r"^#[0-9a-fA-F]{6}$", description="fill on the map")
+
+    @field_validator("strategy", mode="before")
+    @classmethod
+    def _weights(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            value = {value: 1.0}
+        if isinstance(value, list):
+            value = dict.fromkeys(value, 1.0)
+        if isinstance(value, dict):
+            value = {STRATEGY_LETTERS.get(str(name), str(name)): weight for name, weight in value.items()}
+        return value
+
+    @model_validator(mode="after")
+    def _some_weight(self) -> _ZoneBase:
+        if self.strategy is not None:
+            if any(weight < 0 for weight in self.strategy.values()):
+                raise ValueError("strategy weights must not be negative")
+            if not sum(self.strategy.values()) > 0:
+                raise ValueError("at least one strategy needs a weight above 0")
+        return self
+
+
+Zone = create_model("Zone", __base__=_ZoneBase, **_zone_fields())
+
+
+class Config(Section):
+    """The whole config."""
+
+    seed: Annotated[int, Field(strict=True, ge=0, le=2**63 - 1)] = Field(0, description="root of every random stream")
+    rules: Rules = Rules()
+    placement: Placement = Placement()
+    context: Context = Context()
+    species: Species = Species()
+    growth: Growth = Growth()
+    export: Export = Export()
+    zones: dict[str, Zone] = Field(default_factory=dict)
+
+    def zone_value(self, zone: str, name: str) -> Any:
+        """Return a zone's value of a field: its own, else the default zone's, else the parameter's default."""
+        for key in (zone, "default"):
+            table = self.zones.get(key)
+            value = getattr(table, name, None) if table is not None else None
+            if value is not None:
+                return value
+        return PARAMETERS[name].default if name in PARAMETERS else None
+
+    def zone_rules(self, zone: str) -> Rules:
+        """Return the rules in force in a zone."""
+        rules = self.zone_value(zone, "rules")
+        if rules is None:
+            return self.rules
+        return self.rules.model_copy(update=rules.model_dump(exclude_none=True))

@@ -1,0 +1,131 @@
+"""Every output appears whole under its name or not at all: write beside, verify, sync, rename."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from urbanforest_cli.core.errors import BusyError, OutputError
+
+PART_PREFIX = ".urbanforest-part-"
+
+
+@contextlib.contextmanager
+def publish(path: Path, *, verify: Callable[[Path], None] | None = None) -> Iterator[Path]:
+    """Yield a path to write to, and rename it to `path` once it is verified and on disk.
+
+    The temporary file lies in a hidden folder of its own beside the target and bears the target's name, since
+    some formats store it. It is removed whatever happens.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, the folder cannot be written, or `verify` found the file wanting.
+    """
+    path = Path(path)
+    folder = path.parent / f"{PART_PREFIX}{os.getpid()}-{path.name}"
+    try:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            part = folder / path.name
+            yield part
+            if verify is not None:
+                verify(part)
+            sync_file(part)
+            os.replace(part, path)
+            sync_folder(path.parent)
+        except OSError as error:
+            raise output_error(path, error) from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Publish a text file."""
+    with publish(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def output_error(path: Path, error: OSError) -> OutputError:
+    """Turn an operating system's refusal into a message with the space left."""
+    found = error.strerror or str(error)
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        with contextlib.suppress(OSError):
+            found += f"; {shutil.disk_usage(path.parent).free / 1e6:.1f} MB free"
+    return OutputError(
+        "the output could not be written; what stood there before is untouched",
+        where=path,
+        found=found,
+        next_step="make room or name another folder with -o, then run the same command again",
+    )
+
+
+def sync_file(path: Path) -> None:
+    """Force a file's bytes to disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync_folder(path: Path) -> None:
+    """Force a folder's entries to disk."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file as hexadecimal text."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+@contextlib.contextmanager
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Hold a folder for one run; the lock is freed by the system even if the run is killed.
+
+    The folder itself is locked, so no lock file stays behind; a folder made for a run that then wrote nothing
+    is removed again. Parts that dead runs left behind are removed.
+
+    Raises
+    ------
+    BusyError
+        Another run holds the folder.
+    OutputError
+        The folder cannot be made.
+    """
+    made = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise BusyError(
+                "another run is writing here",
+                where=folder,
+                next_step="wait for it to end, or name another folder with -o",
+            ) from error
+        for leftover in folder.glob(f"{PART_PREFIX}*"):
+            shutil.rmtree(leftover, ignore_errors=True)
+        yield
+    finally:
+        os.close(descriptor)
+        if made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()

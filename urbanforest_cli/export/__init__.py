@@ -1,0 +1,1 @@
+"""What people open: a map, points for the web, a page that tells what happened."""

@@ -1,0 +1,64 @@
+"""What a map shows, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from urbanforest_cli.core.colours import to_rgb
+from urbanforest_cli.export.crowns import Crowns
+from urbanforest_cli.export.drawing import FloatArray
+
+
+@dataclass(frozen=True)
+class ZoneStyle:
+    """A zone as the legend names it."""
+
+    name: str
+    colour: str
+
+
+@dataclass(frozen=True)
+class SpeciesStyle:
+    """A species as the legend names it."""
+
+    id: str
+    label: str
+    colour: str
+    tall: bool
+
+
+@dataclass(frozen=True)
+class MapLayers:
+    """What a map shows, in one CRS in metres.
+
+    Parameters
+    ----------
+    lots, lot_zone
+        (n,) polygons and the index of each one's zone in `zones`.
+    plant_xy, plant_radius_m, plant_species
+        (m, 2) positions, (m,) radii and indices into `species`.
+    buildings, building_height_m, roads, road_width_m
+        Polygons with heights, lines or polygons with widths.
+    """
+
+    lots: NDArray[np.object_]
+    lot_zone: NDArray[np.int64]
+    zones: Sequence[ZoneStyle]
+    plant_xy: FloatArray
+    plant_radius_m: FloatArray
+    plant_species: NDArray[np.int64]
+    species: Sequence[SpeciesStyle]
+    buildings: NDArray[np.object_] = field(default_factory=lambda: np.empty(0, dtype=object))
+    building_height_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    roads: NDArray[np.object_] = field(default_factory=lambda: np.empty(0, dtype=object))
+    road_width_m: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def crowns(self) -> Crowns:
+        """Return the plants as crowns in their species' colours."""
+        colours = np.array([to_rgb(item.colour) for item in self.species]).reshape(-1, 3)
+        tall = np.array([item.tall for item in self.species], dtype=bool)
+        return Crowns(self.plant_xy, self.plant_radius_m, colours[self.plant_species], tall[self.plant_species])

@@ -1,0 +1,375 @@
+"""Export: from a planted register to the files people open."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+from pyproj import CRS
+
+from urbanforest_cli import __version__
+from urbanforest_cli.core.colours import species_colour, zone_colour
+from urbanforest_cli.core.config import Config
+from urbanforest_cli.core.crs import reproject, reproject_xy
+from urbanforest_cli.core.notices import Notices
+from urbanforest_cli.core.progress import Progress, silent
+from urbanforest_cli.core.publish import publish, sha256_of, write_text
+from urbanforest_cli.core.schema import LAYERS
+from urbanforest_cli.core.summary import StageSummary
+from urbanforest_cli.export.drawing import Bounds
+from urbanforest_cli.export.lot_pictures import LotPicture, draw_lots, typical_lots
+from urbanforest_cli.export.map_layers import MapLayers, SpeciesStyle, ZoneStyle
+from urbanforest_cli.export.map_picture import draw_map
+from urbanforest_cli.export.page import render_html
+from urbanforest_cli.export.report import RegisterTables, build_report
+from urbanforest_cli.export.text import boxes_for_unknown_letters, counted, place_name
+from urbanforest_cli.files.geojson import write_points
+from urbanforest_cli.files.geopackage import layer_names, read_layer
+from urbanforest_cli.files.provenance import read_records, require_record, stage_key
+from urbanforest_cli.files.species import load_catalogue
+from urbanforest_cli.files.vectors import list_vector_layers, read_vector
+
+GEOJSON, MAP, PAGE, REPORT = "plants.geojson", "map.png", "report.html", "report.json"
+OUTPUTS = (GEOJSON, MAP, PAGE, REPORT)
+WGS84 = CRS.from_epsg(4326)
+PAGE_MAP_PX = 1800
+PAGE_COLOURS = 256
+STEPS = len(OUTPUTS)
+BUILDINGS, ROADS = "buildings", "roads"
+UNKNOWN_HEIGHT_M = 6.0
+LARGEST_M = 1000.0
+NOTHING = np.empty(0, dtype=object)
+
+
+def export_key(place: str, *, config: Config, seed: int) -> str:
+    """Return the hash of all that decides the exports: the plants' own key, and how they are shown."""
+    return stage_key("export", config=config, seed=seed, inputs=[place], sections=("export", "species", "zones"))
+
+
+def export_outputs(
+    register: Path,
+    out: Path,
+    *,
+    config: Config,
+    city: Path | None = None,
+    assume_crs: str | None = None,
+    summaries: Sequence[Mapping[str, Any]] = (),
+    key: str = "",
+    bbox: Bounds | None = None,
+    progress: Progress = silent,
+) -> StageSummary:
+    """Write plants.geojson, map.png, report.html and report.json.
+
+    Reads layers lots, active_areas, parameters, plants, placements and skipped, and the city's buildings and roads.
+    The report comes last and names the others with their hashes. Where SOURCE_DATE_EPOCH is set, the time each stage
+    took is left out, so that equal content is equal bytes.
+
+    Parameters
+    ----------
+    register
+        Where `place` has run.
+    out
+        Folder to write to.
+    config
+        Colours, width of the map.
+    city
+        The file the register was made from; the map shows no buildings and roads without it.
+    assume_crs
+        CRS of a city that states none.
+    summaries
+        What the stages before told; what the register remembers of them if empty.
+    key
+        As `export_key` returns it, kept in the report.
+    bbox
+        West, south, east, north of the part the map shows, in the register's CRS.
+
+    Raises
+    ------
+    SchemaError
+        A layer is missing; the text names the command that writes it.
+    OutputError
+        A file could not be written whole.
+    """
+    started = time.perf_counter()
+    progress("export", 0, STEPS)
+    planted = _read(register, config, city, assume_crs)
+    provenance = _provenance(register, planted, key)
+    _write_geojson(out / GEOJSON, planted, provenance)
+    progress("export", 1, STEPS)
+    map_png = _png(_map(planted, provenance, config, bbox), provenance)
+    _write_bytes(out / MAP, map_png)
+    progress("export", 2, STEPS)
+    report = _report(register, planted, provenance, config, summaries)
+    report["export_key"] = key
+    report["outputs"] = [_output(register), *(_output(out / name) for name in (GEOJSON, MAP))]
+    images = {"map": _for_page(map_png)}
+    pictures = _lot_pictures(planted)
+    if pictures:
+        images["lots"] = _fewer_colours(Image.open(io.BytesIO(_png(draw_lots(pictures), {}))))
+    write_text(out / PAGE, render_html(report, images))
+    progress("export", 3, STEPS)
+    report["outputs"].append(_output(out / PAGE))
+    write_text(out / REPORT, json.dumps(report, indent=1, ensure_ascii=True, allow_nan=False) + "\n")
+    progress("export", STEPS, STEPS)
+    counts: dict[str, int | float | str] = {"plants": len(planted.layers.plant_xy), "files": len(OUTPUTS)}
+    return StageSummary("export", out, counts=counts, seconds=time.perf_counter() - started)
+
+
+@dataclass(frozen=True)
+class _Planted:
+    """A planted city in memory: tables for the report, arrays in metres for the pictures."""
+
+    name: str
+    tables: RegisterTables
+    layers: MapLayers
+    areas: pd.Series[Any]
+    degrees: NDArray[np.float64]
+    crs: CRS
+    working: CRS
+
+
+def _read(register: Path, config: Config, city: Path | None, assume_crs: str | None) -> _Planted:
+    working = require_record(register, "place").working_crs
+    lots = read_layer(register, "lots")
+    plants = read_layer(register, "plants")
+    areas = read_layer(register, "active_areas", columns=["lot_id"])
+    crs = CRS.from_user_input(lots.crs)
+    names = set(layer_names(register))
+    tables = RegisterTables(
+        lots=pd.DataFrame(lots.drop(columns="geometry")),
+        parameters=read_layer(register, "parameters", geometry=False, columns=["lot_id", "strategy", "radius_mean_m"]),
+        plants=pd.DataFrame(plants.drop(columns="geometry")),
+        placements=read_layer(register, "placements", geometry=False),
+        skipped=read_layer(register, "skipped", geometry=False) if "skipped" in names else _empty("skipped"),
+    )
+    file_xy = shapely.get_coordinates(plants.geometry.to_numpy())
+    del plants
+    zone_code, zone_names = pd.factorize(tables.lots["zone"], sort=True)
+    colours = {name: table.colour for name, table in config.zones.items() if table.colour is not None}
+    code, styles = _species_styles(tables.plants, config)
+    buildings, heights, roads, widths = _surroundings(city, assume_crs or crs, working, config)
+    layers = MapLayers(
+        lots=reproject(lots.geometry.to_numpy(), crs, working),
+        lot_zone=np.asarray(zone_code, dtype=np.int64),
+        zones=[ZoneStyle(str(name), zone_colour(str(name), colours)) for name in zone_names],
+        plant_xy=reproject_xy(file_xy, crs, working),
+        plant_radius_m=tables.plants["envelope_radius_m"].to_numpy(dtype=float),
+        plant_species=code,
+        species=styles,
+        buildings=buildings,
+        building_height_m=heights,
+        roads=roads,
+        road_width_m=widths,
+    )
+    return _Planted(
+        name=place_name(city.stem if city is not None else register.stem),
+        tables=tables,
+        layers=layers,
+        areas=pd.Series(
+            reproject(areas.geometry.to_numpy(), crs, working), index=areas["lot_id"].astype(object), dtype=object
+        ),
+        degrees=reproject_xy(file_xy, crs, WGS84),
+        crs=crs,
+        working=working,
+    )
+
+
+def _empty(layer: str) -> pd.DataFrame:
+    return pd.DataFrame({name: pd.Series(dtype=object) for name in LAYERS[layer].columns})
+
+
+def _species_styles(plants: pd.DataFrame, config: Config) -> tuple[NDArray[np.int64], list[SpeciesStyle]]:
+    catalogue = load_catalogue(config.species)
+    code, names = pd.factorize(plants["species"], sort=True)
+    styles = []
+    for number, name in enumerate(map(str, names)):
+        if name in catalogue:
+            item = catalogue[name]
+            styles.append(SpeciesStyle(name, item.scientific_name, item.colour, item.habit == "tree"))
+        else:
+            habit = plants["habit"].iloc[int(np.argmax(code == number))]
+            styles.append(SpeciesStyle(name, name, species_colour(name), habit == "tree"))
+    return np.asarray(code, dtype=np.int64), styles
+
+
+def _surroundings(
+    city: Path | None, assumed: str | CRS, working: CRS, config: Config
+) -> tuple[NDArray[np.object_], NDArray[np.float64], NDArray[np.object_], NDArray[np.float64]]:
+    """Return the city's buildings with heights and roads with widths; what cannot be drawn is left out.
+
+    Whatever is wrong with these layers the stencil has counted already.
+    """
+    there = [name for name, kind in list_vector_layers(city) if kind is not None] if city is not None else []
+    buildings, heights = NOTHING, np.empty(0)
+    roads, widths = NOTHING, np.empty(0)
+    if city is not None and BUILDINGS in there and len(there) > 1:
+        frame = read_vector(city, layer=BUILDINGS, assume_crs=assumed, notices=Notices())
+        buildings, heights = _drawable(frame, working, "height_m", UNKNOWN_HEIGHT_M)
+    if city is not None and ROADS in there and len(there) > 1:
+        frame = read_vector(city, layer=ROADS, kinds=("line", "polygon"), assume_crs=assumed, notices=Notices())
+        roads, widths = _drawable(frame, working, "width_m", config.rules.road_width_m)
+    return buildings, heights, roads, widths
+
+
+def _drawable(frame: gpd.GeoDataFrame, working: CRS, column: str, default: float) -> tuple[NDArray[Any], NDArray[Any]]:
+    shapes = frame.geometry.to_numpy()
+    present = np.isfinite(shapely.bounds(shapes)).all(axis=1)
+    moved = reproject(shapely.force_2d(shapes[present]), CRS.from_user_input(frame.crs), working)
+    named = {str(name).casefold(): name for name in frame.columns}
+    numbers = np.full(len(frame), default)
+    if column in named:
+        given = pd.to_numeric(frame[named[column]], errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
+        numbers = np.where((given > 0) & (given < LARGEST_M), given, default)
+    sound = np.isfinite(shapely.bounds(moved)).all(axis=1)
+    return moved[sound], numbers[present][sound]
+
+
+def _provenance(register: Path, planted: _Planted, key: str) -> dict[str, Any]:
+    records = read_records(register)
+    place = records["place"]
+    return {
+        "program": "urbanforest",
+        "program_version": __version__,
+        "seed": place.seed,
+        "export_key": key,
+        "stage_keys": {stage: record.stage_key for stage, record in records.items()},
+        "working_crs": planted.working.name,
+        "register_crs": planted.crs.name,
+        "inputs": records["stencil"].inputs if "stencil" in records else [],
+        "plants": len(planted.degrees),
+    }
+
+
+def _write_geojson(path: Path, planted: _Planted, provenance: Mapping[str, Any]) -> None:
+    write_points(path, planted.degrees, planted.tables.plants, members={"provenance": dict(provenance)})
+
+
+def _map(planted: _Planted, provenance: Mapping[str, Any], config: Config, bbox: Bounds | None) -> Figure:
+    shown = None
+    if bbox is not None:
+        moved = reproject(np.array([shapely.box(*bbox)], dtype=object), planted.crs, planted.working)
+        west, south, east, north = map(float, shapely.bounds(moved[0]))
+        shown = (west, south, east, north)
+    with boxes_for_unknown_letters():
+        return draw_map(
+            planted.layers, title=planted.name, notes=_notes(planted, provenance),
+            width_px=config.export.map_width_px, bbox=shown,
+        )  # fmt: skip
+
+
+def _notes(planted: _Planted, provenance: Mapping[str, Any]) -> list[str]:
+    code = planted.working.to_authority()
+    crs = planted.working.name + (f" ({':'.join(code)})" if code else "")
+    sources = ", ".join(f"{item['name']} ({item.get('sha256', '')[:12]})" for item in provenance["inputs"][:3])
+    return [
+        f"{crs}; north is grid north; crowns are drawn at their true radius",
+        f"urbanforest {__version__}, seed {provenance['seed']}" + (f", from {sources}" if sources else ""),
+    ]
+
+
+def _png(figure: Figure, provenance: Mapping[str, Any]) -> bytes:
+    stream = io.BytesIO()
+    metadata = {"Software": f"urbanforest {__version__}"}
+    if provenance:
+        metadata["urbanforest"] = json.dumps(provenance, ensure_ascii=True)
+    with boxes_for_unknown_letters():
+        figure.savefig(stream, format="png", dpi=figure.dpi, metadata=metadata)
+    return stream.getvalue()
+
+
+def _write_bytes(path: Path, content: bytes) -> None:
+    with publish(path) as part:
+        part.write_bytes(content)
+
+
+def _for_page(png: bytes) -> bytes:
+    """Return a picture small enough for the page: narrower, and of few colours."""
+    picture: Image.Image = Image.open(io.BytesIO(png))
+    if picture.width > PAGE_MAP_PX:
+        size = (PAGE_MAP_PX, round(picture.height * PAGE_MAP_PX / picture.width))
+        picture = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    return _fewer_colours(picture)
+
+
+def _fewer_colours(picture: Image.Image) -> bytes:
+    stream = io.BytesIO()
+    reduced = picture.convert("RGB").quantize(PAGE_COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    reduced.save(stream, format="PNG", optimize=True)
+    return stream.getvalue()
+
+
+def _report(
+    register: Path,
+    planted: _Planted,
+    provenance: Mapping[str, Any],
+    config: Config,
+    summaries: Sequence[Mapping[str, Any]],
+) -> dict[str, Any]:
+    stages = [dict(summary) for summary in summaries] or [
+        {"stage": record.stage, "counts": record.counts, "warnings": record.notices.as_records(), "up_to_date": True}
+        for record in read_records(register).values()
+    ]
+    for stage in stages:
+        stage.pop("output", None)
+        if "SOURCE_DATE_EPOCH" in os.environ:
+            stage.pop("seconds", None)
+            stage.pop("up_to_date", None)
+    return build_report(
+        planted.tables,
+        title=planted.name,
+        species=planted.layers.species,
+        provenance=provenance,
+        stages=stages,
+        config=config.model_dump(mode="json", exclude_none=True),
+        zone_colours={zone.name: zone.colour for zone in planted.layers.zones},
+    )
+
+
+def _output(path: Path) -> dict[str, Any]:
+    return {"name": path.name, "sha256": sha256_of(path), "bytes": path.stat().st_size}
+
+
+def _lot_pictures(planted: _Planted) -> list[LotPicture]:
+    layers, tables = planted.layers, planted.tables
+    crowns = layers.crowns()
+    plant_lot = tables.plants["lot_id"].to_numpy(dtype=object)
+    frame = tables.lots[["lot_id", "zone", "area_m2"]].merge(
+        tables.parameters[["lot_id", "strategy"]], how="left", on="lot_id"
+    )
+    frame["plants"] = frame["lot_id"].map(tables.plants["lot_id"].value_counts()).fillna(0).astype(int)
+    chosen = typical_lots(frame)
+    around = shapely.STRtree(layers.lots)
+    houses = shapely.STRtree(layers.buildings)
+    pictures = []
+    for number in chosen:
+        row, lot = frame.iloc[number], layers.lots[number]
+        view = shapely.box(*shapely.bounds(lot)).buffer(10.0)
+        near = houses.query(view, predicate="intersects")
+        beside = around.query(view, predicate="intersects")
+        pictures.append(
+            LotPicture(
+                title=f"{row['strategy']}, {row['zone']}",
+                note=f"{row['lot_id']}: {counted(int(row['plants']), 'plant')}, {row['area_m2']:,.0f} m\u00b2",
+                lots=layers.lots[[number]],
+                area=planted.areas.get(row["lot_id"]),
+                colour=layers.zones[layers.lot_zone[number]].colour,
+                crowns=crowns.chosen(plant_lot == row["lot_id"]),
+                neighbours=layers.lots[beside[beside != number]],
+                buildings=layers.buildings[near],
+                building_height_m=layers.building_height_m[near],
+            )
+        )
+    return pictures

@@ -1,0 +1,363 @@
+"""Place plants in a register: files in, files out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from urbanforest_cli import __version__
+from urbanforest_cli.core.config import Config
+from urbanforest_cli.core.crs import reproject, reproject_xy
+from urbanforest_cli.core.errors import ConfigError
+from urbanforest_cli.core.notices import Notices
+from urbanforest_cli.core.params import PARAMETERS
+from urbanforest_cli.core.progress import Progress, silent
+from urbanforest_cli.core.randomness import keys_for
+from urbanforest_cli.core.schema import SKIP_REASONS
+from urbanforest_cli.core.species import Catalogue
+from urbanforest_cli.core.summary import StageSummary
+from urbanforest_cli.files.geopackage import layer_names, read_layer, write_layers
+from urbanforest_cli.files.provenance import Record, provenance_frame, read_records, require_record, stage_key
+from urbanforest_cli.files.species import load_catalogue
+from urbanforest_cli.placement.city_wide import place_in_waves
+from urbanforest_cli.placement.seeds import ROUNDING_TOLERATED, Seeds, draw_seeds
+from urbanforest_cli.placement.sites import Positions, Sites
+from urbanforest_cli.placement.strategies import strategy_named
+from urbanforest_cli.placement.thinning import index_within, kept_by_count, kept_by_hash
+
+STAGE = "place"
+LOTS_A_BATCH = 4096
+
+
+def place_key(before: str, *, config: Config, seed: int, catalogue: Catalogue) -> str:
+    """Return the hash of all that decides this stage's result, `before` being the key of the stage before it."""
+    species = json.dumps([asdict(kind) for kind in catalogue], sort_keys=True)
+    return stage_key(STAGE, config=config, seed=seed, inputs=[before, species], sections=("placement", "species"))
+
+
+def place_plants(
+    register: Path,
+    *,
+    config: Config,
+    seed: int,
+    workers: int = 1,
+    previous: Path | None = None,
+    progress: Progress = silent,
+) -> StageSummary:
+    """Fill the active areas of a register with plants.
+
+    Reads layers ``lots``, ``active_areas`` and ``parameters``; writes ``plants``, ``placements``, its rows of
+    ``skipped`` and one provenance record. The result depends on the inputs and the seed alone, not on the order of
+    lots or the number of workers.
+
+    Parameters
+    ----------
+    previous
+        A register of an earlier run: lots for which nothing has changed take their plants from there.
+
+    Raises
+    ------
+    SchemaError
+        A layer is missing or breaks its requirements; the text names the command that writes it.
+    LimitError
+        A lot would hold more plants than the config allows.
+    """
+    started = time.perf_counter()
+    records = read_records(register)
+    working = require_record(register, "stencil").working_crs
+    before = records["diffuse"] if "diffuse" in records else records["stencil"]
+    catalogue = load_catalogue(config.species)
+    city = _read_city(register, working)
+    _refuse_more_species_than_there_are(city, catalogue, register)
+    salt = place_key("", config=config, seed=seed, catalogue=catalogue)
+    city.lot_keys[:] = _lot_keys(city, salt)
+    reuse = config.placement.conflict == "lot"
+    kept = _previous_plants(previous or register, city) if reuse else None
+    todo = np.ones(len(city.lot_ids), dtype=bool) if kept is None else ~np.isin(city.lot_ids, kept.placements["lot_id"])
+
+    fresh = _place(city, np.flatnonzero(todo), config, seed, catalogue, workers, progress)
+    plants, placements = _frames(city, fresh, np.flatnonzero(todo), catalogue, working)
+    if kept is not None:
+        plants, placements = _joined(city, kept, plants, placements)
+    skipped = _skipped(register, placements)
+    counts = {
+        "plants": len(plants),
+        "lots_planted": int((placements["plant_count"] > 0).sum()),
+        "lots_skipped": len(skipped),
+        "lots_reused": int(len(city.lot_ids) - todo.sum()),
+    }
+    record = Record(
+        stage=STAGE,
+        seed=seed,
+        stage_key=place_key(before.stage_key, config=config, seed=seed, catalogue=catalogue),
+        working_crs=working,
+        config=config.model_dump(mode="json", exclude_none=True),
+        inputs=[{"name": before.stage, "sha256": before.stage_key}],
+        counts={name: count for name, count in counts.items() if name != "lots_reused"},
+    )
+    write_layers(
+        register,
+        {
+            "plants": plants,
+            "placements": placements,
+            "skipped": skipped,
+            "provenance": provenance_frame(register, record, drop=("grow",)),
+        },
+    )
+    return StageSummary(STAGE, register, counts, Notices(), time.perf_counter() - started)
+
+
+@dataclass
+class _City:
+    """The lots that have ground to plant, in the order of their ids; geometries in metres."""
+
+    crs: CRS
+    lot_ids: NDArray[np.object_]
+    lots: NDArray[np.object_]
+    areas: NDArray[np.object_]
+    strategy: NDArray[np.object_]
+    values: dict[str, NDArray[np.float64]]
+    prints: list[bytes]
+    lot_keys: NDArray[np.object_]
+
+
+def _read_city(register: Path, working: CRS) -> _City:
+    areas = read_layer(register, "active_areas")
+    lots = read_layer(register, "lots").set_index("lot_id")
+    parameters = read_layer(register, "parameters", geometry=False).set_index("lot_id")
+    areas = areas.sort_values("lot_id", kind="stable")
+    lot_ids = areas["lot_id"].to_numpy(dtype=object)
+    crs = areas.crs
+    lot_shapes = lots.geometry.reindex(lot_ids).to_numpy()
+    area_shapes = areas.geometry.to_numpy()
+    parameters = parameters.reindex(lot_ids)
+    values = {name: parameters[name].to_numpy(dtype=np.float64) for name in PARAMETERS}
+    strategy = parameters["strategy"].to_numpy(dtype=object)
+    numbers = np.column_stack(list(values.values()))
+    prints = [
+        b"\x1f".join((str(s).encode(), row.tobytes(), area, lot))
+        for s, row, area, lot in zip(
+            strategy, numbers, shapely.to_wkb(area_shapes), shapely.to_wkb(lot_shapes), strict=True
+        )
+    ]
+    return _City(
+        crs=crs,
+        lot_ids=lot_ids,
+        lots=reproject(lot_shapes, crs, working),
+        areas=reproject(area_shapes, crs, working),
+        strategy=strategy,
+        values=values,
+        prints=prints,
+        lot_keys=np.empty(len(lot_ids), dtype=object),
+    )
+
+
+def _refuse_more_species_than_there_are(city: _City, catalogue: Catalogue, register: Path) -> None:
+    counts = city.values["species_count"]
+    over = np.ceil(counts - ROUNDING_TOLERATED) > len(catalogue)
+    if over.any():
+        raise ConfigError(
+            "a lot asks for more species than the city has",
+            where=f"{register}, layer 'parameters'",
+            found=f"species_count {counts[over][0]:g} in lot {city.lot_ids[over][0]} and {int(over.sum()) - 1} others",
+            expected=f"at most {len(catalogue)}: {', '.join(catalogue.ids)}",
+            next_step="lower species_count, or add species to the folder named by species.folder",
+        )
+
+
+def _lot_keys(city: _City, salt: str) -> list[str]:
+    start = hashlib.blake2b(f"{__version__}\x1f{salt}".encode(), digest_size=12)
+    keys = []
+    for lot_id, print_ in zip(city.lot_ids, city.prints, strict=True):
+        digest = start.copy()
+        digest.update(str(lot_id).encode("utf-8", "surrogatepass"))
+        digest.update(print_)
+        keys.append(digest.hexdigest())
+    return keys
+
+
+@dataclass
+class _Placed:
+    """Plants as arrays: lot (index among all), number in the lot, position, radius, what it is; counts by lot."""
+
+    lot: NDArray[np.int64]
+    number: NDArray[np.int64]
+    xy: NDArray[np.float64]
+    radius_m: NDArray[np.float64]
+    seeds: Seeds
+    position_count: NDArray[np.int64]
+    radius_mean_m: NDArray[np.float64]
+    radius_variance_m2: NDArray[np.float64]
+
+
+def _batches(city: _City, todo: NDArray[np.int64]) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    for name in sorted(set(city.strategy[todo])):
+        chosen = todo[city.strategy[todo] == name]
+        for start in range(0, len(chosen), LOTS_A_BATCH):
+            yield name, chosen[start : start + LOTS_A_BATCH]
+
+
+def _place(
+    city: _City,
+    todo: NDArray[np.int64],
+    config: Config,
+    seed: int,
+    catalogue: Catalogue,
+    workers: int,
+    progress: Progress,
+) -> _Placed:
+    keys = keys_for(seed, STAGE, city.lot_ids)
+    settings = config.placement
+
+    def positions_of(batch: tuple[str, NDArray[np.int64]]) -> Positions:
+        name, chosen = batch
+        sites = Sites(
+            lot_ids=city.lot_ids[chosen],
+            keys=keys[chosen],
+            lots=city.lots[chosen],
+            areas=city.areas[chosen],
+            values={parameter: column[chosen] for parameter, column in city.values.items()},
+        )
+        found = strategy_named(name)(sites, settings)
+        return Positions(chosen[found.site], found.xy, found.radius_m)
+
+    if settings.conflict == "city":
+        every = Sites(lot_ids=city.lot_ids, keys=keys, lots=city.lots, areas=city.areas, values=city.values)
+        found = [place_in_waves(every, city.strategy, settings, progress)]
+    else:
+        batches = list(_batches(city, todo))
+        found = []
+        with ThreadPoolExecutor(workers) as pool:
+            for done, positions in enumerate(pool.map(positions_of, batches), start=1):
+                found.append(positions)
+                progress("placing plants", done, len(batches))
+    return _planted(city, found, config, seed, catalogue)
+
+
+def _planted(city: _City, found: list[Positions], config: Config, seed: int, catalogue: Catalogue) -> _Placed:
+    site = np.concatenate([np.zeros(0, dtype=np.int64), *(positions.site for positions in found)])
+    order = np.argsort(site, kind="stable")
+    site = site[order]
+    xy = np.concatenate([np.zeros((0, 2)), *(positions.xy for positions in found)])[order]
+    radius = np.concatenate([np.zeros(0), *(positions.radius_m for positions in found)])[order]
+    number = index_within(site)
+    count = len(city.lot_ids)
+    position_count = np.bincount(site, minlength=count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.bincount(site, radius, minlength=count) / position_count
+        variance = np.bincount(site, (radius - mean[site]) ** 2, minlength=count) / (position_count - 1)
+    variance[position_count < 2] = np.nan
+    thin = kept_by_hash if config.placement.density_law == "hash" else kept_by_count
+    kept = thin(site, keys_for(seed, "density", city.lot_ids), city.values["density"])
+    site, number, xy, radius = site[kept], number[kept], xy[kept], radius[kept]
+    seeds = draw_seeds(
+        site,
+        number,
+        keys_for(seed, "seeds", city.lot_ids),
+        city.values,
+        radius,
+        catalogue,
+        dominant=config.species.dominant,
+    )
+    return _Placed(site, number, xy, radius, seeds, position_count, mean, variance)
+
+
+def _frames(
+    city: _City, placed: _Placed, todo: NDArray[np.int64], catalogue: Catalogue, working: CRS
+) -> tuple[gpd.GeoDataFrame, pd.DataFrame]:
+    kinds = list(catalogue)
+    names = np.array([kind.id for kind in kinds], dtype=object)
+    habits = np.array([kind.habit for kind in kinds], dtype=object)
+    lot_ids = city.lot_ids[placed.lot]
+    xy = reproject_xy(placed.xy, working, city.crs)
+    plants = gpd.GeoDataFrame(
+        {
+            "plant_id": [f"{lot}-{number}" for lot, number in zip(lot_ids, placed.number.tolist(), strict=True)],
+            "lot_id": lot_ids,
+            "species": names[placed.seeds.species],
+            "habit": habits[placed.seeds.species],
+            "age_years": np.round(placed.seeds.age_years, 2),
+            "envelope_radius_m": np.floor(placed.radius_m * 1e4) / 1e4,  # down, so that no two come to overlap
+            "pruning_factor": placed.seeds.pruning_factor,
+        },
+        geometry=shapely.points(xy),
+        crs=city.crs,
+    )
+    plant_count = np.bincount(placed.lot, minlength=len(city.lot_ids))
+    dominant = np.where(plant_count > 0, names[placed.seeds.dominant], None)
+    placements = pd.DataFrame(
+        {
+            "lot_id": city.lot_ids[todo],
+            "position_count": placed.position_count[todo],
+            "plant_count": plant_count[todo],
+            "radius_mean_m": placed.radius_mean_m[todo],
+            "radius_variance_m2": placed.radius_variance_m2[todo],
+            "dominant_species": dominant[todo],
+            "place_key": city.lot_keys[todo],
+        }
+    )
+    return plants, placements
+
+
+@dataclass
+class _Kept:
+    plants: gpd.GeoDataFrame
+    placements: pd.DataFrame
+
+
+def _previous_plants(register: Path, city: _City) -> _Kept | None:
+    """Return the plants of lots whose key is the one of an earlier run."""
+    if not register.exists() or not {"plants", "placements"} <= set(layer_names(register)):
+        return None
+    placements = read_layer(register, "placements", geometry=False)
+    now = pd.Series(city.lot_keys, index=city.lot_ids)
+    same = placements["lot_id"].map(now).to_numpy() == placements["place_key"].to_numpy()
+    placements = placements[same]
+    if placements.empty:
+        return None
+    plants = read_layer(register, "plants")
+    return _Kept(plants[plants["lot_id"].isin(placements["lot_id"])], placements)
+
+
+def _joined(
+    city: _City, kept: _Kept, plants: gpd.GeoDataFrame, placements: pd.DataFrame
+) -> tuple[gpd.GeoDataFrame, pd.DataFrame]:
+    """Put reused and fresh lots together in the order a full run would have."""
+    order = pd.Series(np.arange(len(city.lot_ids)), index=city.lot_ids)
+    columns = list(plants.columns)
+    old = kept.plants[columns]
+    every = pd.concat([old.set_crs(plants.crs, allow_override=True), plants], ignore_index=True) if len(plants) else old
+    rows = pd.concat([kept.placements[placements.columns], placements], ignore_index=True) if len(placements) else (
+        kept.placements[placements.columns]
+    )  # fmt: skip
+    every = every.iloc[np.argsort(order[every["lot_id"]].to_numpy(), kind="stable")]
+    rows = rows.iloc[np.argsort(order[rows["lot_id"]].to_numpy(), kind="stable")]
+    return gpd.GeoDataFrame(every.reset_index(drop=True), crs=plants.crs), rows.reset_index(drop=True)
+
+
+def _skipped(register: Path, placements: pd.DataFrame) -> pd.DataFrame:
+    before = read_layer(register, "skipped", geometry=False)
+    bare = placements[placements["plant_count"] == 0]
+    reason = np.where(bare["position_count"] == 0, "no_position", "thinned")
+    rows = pd.DataFrame(
+        {
+            "lot_id": bare["lot_id"].to_numpy(dtype=object),
+            "stage": STAGE,
+            "reason": reason,
+            "detail": [SKIP_REASONS[code] for code in reason],
+        }
+    )
+    others = before[before["stage"] != STAGE]
+    return pd.concat([others, rows], ignore_index=True) if len(others) else rows

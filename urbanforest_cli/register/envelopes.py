@@ -1,0 +1,424 @@
+"""The ground that is left: a lot less the envelopes of all that plants keep away from.
+
+Distances are true ones. A buffer's arcs are chords, which would let plants come nearer than asked; here the radius is
+enlarged so that every chord stays outside the true arc, by at most 8 mm. Notches of a wall shallower than a hundredth
+of the distance may be bridged, which makes an envelope wider there, never narrower.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.errors import GEOSException
+
+from urbanforest_cli.core.config import Rules
+from urbanforest_cli.register.envelope_kernel import DONE, lots_less_envelopes
+from urbanforest_cli.register.rules import (
+    Corners,
+    Entrances,
+    carriageway_reach_m,
+    entrance_areas,
+    obstacle_distances,
+    sight_triangles,
+)
+
+ARC_EXCESS_M = 0.008
+WIDEST_STEP = 0.75
+"""Half of the widest arc step that GEOS takes, in steps of 90 degrees / quad_segs: it rounds their number, so that a
+corner that turns by just under 1.5 steps gets one."""
+OWN_SHARE = 0.01
+"""A building belongs to every lot that holds at least this share of it; a party wall on the line makes no owner."""
+SLIVER_M = 0.02
+LOTS_A_CHUNK = 2048
+RESCUE_GRID_M = 1e-6
+
+Shapes = NDArray[Any]
+
+
+def arc_segments(distance_m: float) -> int:
+    """Return into how many chords a quarter circle is cut so that the excess stays below 8 mm."""
+    if distance_m <= 0:
+        return 1
+    widest = math.acos(distance_m / (distance_m + ARC_EXCESS_M))
+    return max(2, math.ceil(WIDEST_STEP * math.pi / 2 / widest))
+
+
+def outer_distance(distance_m: float) -> float:
+    """Return the radius whose chords stay outside the arc of `distance_m`."""
+    return distance_m / math.cos(WIDEST_STEP * math.pi / 2 / arc_segments(distance_m))
+
+
+def outer_buffer(shapes: Shapes, distance_m: float) -> Shapes:
+    """Return areas that hold every point nearer than `distance_m`, and few others.
+
+    Parameters
+    ----------
+    shapes
+        (n,) geometries in metres.
+    """
+    if distance_m == 0:
+        return np.asarray(shapes, dtype=object)
+    wide = shapely.buffer(shapes, outer_distance(distance_m), quad_segs=arc_segments(distance_m))
+    return np.asarray(wide, dtype=object)
+
+
+def _none() -> Shapes:
+    return np.empty(0, dtype=object)
+
+
+def _no_numbers() -> NDArray[np.float64]:
+    return np.empty(0, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """All that plants keep away from, in metres; every shape valid.
+
+    Parameters
+    ----------
+    buildings, driveways, obstacles, roads
+        Shapes; buildings are polygons, the others may be lines, obstacles points too.
+    entrances
+        Doors and windows brought to their walls.
+    obstacle_kinds, obstacle_clearance_m
+        Kind of each obstacle, and the distance it states itself (NaN: the one of its kind).
+    road_widths_m
+        Width of the carriageway of each road; 0 for polygons, which are the carriageway.
+    corners
+        Corners of road intersections.
+    """
+
+    buildings: Shapes = field(default_factory=_none)
+    driveways: Shapes = field(default_factory=_none)
+    entrances: Entrances = field(default_factory=Entrances)
+    obstacles: Shapes = field(default_factory=_none)
+    obstacle_kinds: NDArray[np.object_] = field(default_factory=_none)
+    obstacle_clearance_m: NDArray[np.float64] = field(default_factory=_no_numbers)
+    roads: Shapes = field(default_factory=_none)
+    road_widths_m: NDArray[np.float64] = field(default_factory=_no_numbers)
+    corners: Corners = field(default_factory=Corners)
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Ground that another placement unit takes from a lot: pairs of a lot's row and a shape."""
+
+    lots: NDArray[np.int64]
+    shapes: Shapes
+
+    def within(self, rows: NDArray[np.int64]) -> Taken:
+        """Return the pairs of some lots, with the lots' places in `rows`, which must be sorted."""
+        place = np.searchsorted(rows, self.lots)
+        here = (place < len(rows)) & (rows[np.minimum(place, max(len(rows) - 1, 0))] == self.lots) if len(rows) else (
+            np.zeros(len(self.lots), dtype=bool)
+        )  # fmt: skip
+        return Taken(place[here], self.shapes[here])
+
+
+NOTHING_TAKEN = Taken(np.empty(0, np.int64), np.empty(0, object))
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What is left of each lot: its area (None where nothing is), and whether pieces were dropped as too small."""
+
+    areas: Shapes
+    dropped_parts: NDArray[np.int64]
+
+
+def plantable_areas(
+    lots: Shapes,
+    zones: NDArray[np.object_],
+    around: Surroundings,
+    rules_of: Callable[[str], Rules],
+    *,
+    taken: Taken = NOTHING_TAKEN,
+    workers: int = 1,
+    report: Callable[[int, int], None] | None = None,
+) -> Ground:
+    """Return where plants may stand in each lot (paper, section Planting Rules).
+
+    A lot's result depends on the lot and on what is near it alone, to the last bit, so that a subset of a city gives
+    the same areas as the whole.
+
+    Parameters
+    ----------
+    lots
+        (n,) valid polygons in metres.
+    zones
+        (n,) the zone of each, which decides the rules.
+    around
+        All that plants keep away from; nothing farther from the lots than the clearances matters.
+    rules_of
+        The rules in force in a zone.
+    taken
+        Ground that belongs to other units: sketches, street strips, overlapping lots.
+    workers
+        Threads.
+    report
+        Called with lots done and lots in all.
+    """
+    areas = np.full(len(lots), None, dtype=object)
+    dropped = np.zeros(len(lots), dtype=np.int64)
+    groups: dict[str, tuple[Rules, list[str]]] = {}
+    for zone in sorted(set(zones)):
+        rules = rules_of(zone)
+        groups.setdefault(rules.model_dump_json(), (rules, []))[1].append(zone)
+    jobs = []
+    for rules, members in groups.values():
+        rows = np.flatnonzero(np.isin(zones, members))
+        keeper = _Keeper(rules, around, shapely.total_bounds(lots[rows]))
+        jobs += [(keeper, rows[start : start + LOTS_A_CHUNK]) for start in range(0, len(rows), LOTS_A_CHUNK)]
+    done = 0
+
+    def work(job: tuple[_Keeper, NDArray[np.int64]]) -> tuple[NDArray[np.int64], Shapes, NDArray[np.int64]]:
+        keeper, rows = job
+        left = keeper.leave(lots[rows], taken.within(rows))
+        return (rows, *drop_small(left, keeper.rules.min_area_m2))
+
+    with ThreadPoolExecutor(workers) as pool:
+        for rows, left, count in pool.map(work, jobs) if workers > 1 else map(work, jobs):
+            areas[rows] = left
+            dropped[rows] = count
+            done += len(rows)
+            if report is not None:
+                report(done, len(lots))
+    return Ground(areas, dropped)
+
+
+class _Keeper:
+    """One set of rules, and all that they keep plants away from, indexed.
+
+    Walls, driveways, doors and corners are many and small, and an exact kernel takes them off; what it gives back
+    undone, and everything else, goes through overlays.
+    """
+
+    def __init__(self, rules: Rules, around: Surroundings, bounds: NDArray[np.float64]) -> None:
+        self.rules = rules
+        lines = shapely.get_dimensions(around.driveways) == 1
+        self.near = [
+            _Near(around.buildings, rules.building_clearance_m),
+            _Near(around.driveways[~lines], rules.driveway_clearance_m),
+            _Near(entrance_areas(around.entrances, rules), 0.0),
+            _Near(sight_triangles(around.corners, rules.sight_triangle_m), 0.0),
+        ]
+        self.things = _flat(np.concatenate([near.things for near in self.near]))
+        self.clearance_m = np.concatenate([np.full(len(near.things), near.distance_m) for near in self.near])
+        half = rules.driveway_width_m / 2 + rules.driveway_clearance_m
+        self.wide = np.concatenate(
+            [
+                _buffered(around.driveways[lines], np.full(int(lines.sum()), half), bounds),
+                _buffered(around.roads, carriageway_reach_m(around.roads, around.road_widths_m, rules), bounds),
+                _buffered(
+                    around.obstacles,
+                    obstacle_distances(around.obstacle_kinds, around.obstacle_clearance_m, rules),
+                    bounds,
+                ),
+            ]
+        )
+        self.wide_tree = shapely.STRtree(self.wide)
+
+    def leave(self, lots: Shapes, taken: Taken) -> Shapes:
+        """Return what these rules leave of some lots."""
+        left = self._less_near(lots)
+        row, thing = self.wide_tree.query(left, predicate="intersects")
+        order = np.lexsort((thing, row))
+        owner = np.concatenate((row[order], taken.lots))
+        return subtract(left, owner, np.concatenate((self.wide[thing[order]], taken.shapes)))
+
+    def _less_near(self, lots: Shapes) -> Shapes:
+        pairs = []
+        first = 0
+        for near in self.near:
+            only_own = near is self.near[0] and not self.rules.neighbour_buildings
+            row, thing = near.pairs(lots, only_own=only_own)
+            pairs.append((row, thing + first))
+            first += len(near.things)
+        row, thing = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
+        order = np.lexsort((thing, row))
+        row, thing = row[order], thing[order]
+        left = np.array(lots, dtype=object)
+        some, place = np.unique(row, return_inverse=True)
+        if not len(some):
+            return left
+        left[some], done = _exactly(lots[some], self.things, self.clearance_m, place, thing)
+        undone = some[~done]
+        left[undone] = lots[undone]
+        for near in self.near:
+            again, shapes = near.around(
+                lots[undone], only_own=near is self.near[0] and not self.rules.neighbour_buildings
+            )
+            left[undone] = subtract(left[undone], again, shapes)
+        return left
+
+
+@dataclass(frozen=True)
+class _Flat:
+    """Polygons as arrays: coordinates of rings with the inside on their left, and where rings and polygons begin."""
+
+    xy: NDArray[np.float64]
+    rings: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+
+
+def _flat(shapes: Shapes) -> _Flat:
+    parts, part_of = shapely.get_parts(shapely.orient_polygons(shapes), return_index=True)
+    rings, ring_of = shapely.get_rings(parts, return_index=True)
+    xy, place = shapely.get_coordinates(rings, return_index=True)
+    return _Flat(
+        xy,
+        np.searchsorted(place, np.arange(len(rings) + 1)),
+        np.searchsorted(part_of[ring_of], np.arange(len(shapes) + 1)),
+    )
+
+
+def _exactly(
+    lots: Shapes,
+    things: _Flat,
+    clearance_m: NDArray[np.float64],
+    row: NDArray[np.integer],
+    thing: NDArray[np.integer],
+) -> tuple[Shapes, NDArray[np.bool_]]:
+    """Return lots less the envelopes of the things paired with them, and which of the lots that worked for."""
+    flat = _flat(lots)
+    offsets = np.searchsorted(row, np.arange(len(lots) + 1))
+    xy, rings, shell, lot, status = lots_less_envelopes(
+        flat.xy, flat.rings, flat.offsets, things.xy, things.rings, things.offsets, clearance_m,
+        offsets, np.ascontiguousarray(thing), ARC_EXCESS_M,
+    )  # fmt: skip
+    done = status == DONE
+    left = np.full(len(lots), shapely.Polygon(), dtype=object)
+    if not len(shell):
+        return left, done
+    lines = shapely.linearrings(xy, indices=np.repeat(np.arange(len(shell)), np.diff(rings)))
+    shells, polygon = np.unique(shell, return_inverse=True)
+    order = np.lexsort((shell != np.arange(len(shell)), polygon))
+    parts = np.asarray(shapely.polygons(lines[order], indices=polygon[order]), dtype=object)
+    owner = lot[shells]
+    done[owner[~shapely.is_valid(parts)]] = False
+    single = np.bincount(owner, minlength=len(lots)) == 1
+    left[owner[single[owner]]] = parts[single[owner]]
+    many, place = np.unique(owner[~single[owner]], return_inverse=True)
+    if len(many):
+        left[many] = shapely.multipolygons(parts[~single[owner]], indices=place)
+    return left, done
+
+
+def _buffered(things: Shapes, distances_m: NDArray[np.float64], bounds: NDArray[np.float64]) -> Shapes:
+    """Return the envelopes of all things that come near some bounds, each with a distance of its own."""
+    if not len(things):
+        return np.empty(0, dtype=object)
+    west, south, east, north = shapely.bounds(things).T
+    reach = distances_m * 1.01 + ARC_EXCESS_M
+    near = (west - reach <= bounds[2]) & (east + reach >= bounds[0])
+    near &= (south - reach <= bounds[3]) & (north + reach >= bounds[1])
+    things, distances_m = things[near], distances_m[near]
+    result: Shapes = np.array(things, dtype=object)
+    for distance in np.unique(distances_m):
+        same = distances_m == distance
+        result[same] = outer_buffer(things[same], float(distance))
+    return np.asarray(result[shapely.get_dimensions(result) == 2])
+
+
+class _Near:
+    """Polygons of one clearance and their index."""
+
+    def __init__(self, things: Shapes, distance_m: float) -> None:
+        self.things = np.asarray(shapely.get_parts(things), dtype=object)
+        self.distance_m = distance_m
+        self.tree = shapely.STRtree(self.things)
+
+    def pairs(self, lots: Shapes, *, only_own: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return lots and things that are near each other, sorted by both."""
+        if self.distance_m > 0:
+            row, thing = self.tree.query(lots, predicate="dwithin", distance=self.distance_m)
+        else:
+            row, thing = self.tree.query(lots, predicate="intersects")
+        if only_own:
+            mine = shapely.area(shapely.intersection(self.things[thing], lots[row]))
+            own = mine > OWN_SHARE * shapely.area(self.things[thing])
+            row, thing = row[own], thing[own]
+        order = np.lexsort((thing, row))
+        return row[order], thing[order]
+
+    def around(self, lots: Shapes, *, only_own: bool = False) -> tuple[NDArray[np.int64], Shapes]:
+        """Return the rows of lots that have some of the things near, and for each one envelope around all of those."""
+        row, thing = self.pairs(lots, only_own=only_own)
+        rows, place = np.unique(row, return_inverse=True)
+        if not len(rows):
+            return rows, np.empty(0, dtype=object)
+        joined = np.asarray(shapely.multipolygons(self.things[thing], indices=place), dtype=object)
+        if self.distance_m == 0:
+            return rows, np.asarray(shapely.union_all(joined[:, None], axis=1), dtype=object)
+        return rows, outer_buffer(joined, self.distance_m)
+
+
+def subtract(lots: Shapes, owner: NDArray[np.integer], cutters: Shapes) -> Shapes:
+    """Return lots less areas, any number a lot.
+
+    Parameters
+    ----------
+    lots
+        (n,) polygons.
+    owner, cutters
+        (m,) the row of the lot that each area is taken from, and the area.
+    """
+    left = np.array(lots, dtype=object)
+    order = np.argsort(owner, kind="stable")
+    owner, cutters = owner[order], cutters[order]
+    start = np.searchsorted(owner, owner, side="left")
+    rank = np.arange(len(owner)) - start
+    for level in range(int(rank.max(initial=-1)) + 1):
+        here = rank == level
+        rows, shapes = owner[here], cutters[here]
+        if level:
+            meet = shapely.intersects(left[rows], shapes)
+            rows, shapes = rows[meet], shapes[meet]
+        left[rows] = difference(left[rows], shapes)
+    return left
+
+
+def difference(shapes: Shapes, cutters: Shapes) -> Shapes:
+    """Return `shapely.difference`, with pairs that its fast arithmetic cannot resolve done again on a fine grid."""
+    try:
+        return np.asarray(shapely.difference(shapes, cutters), dtype=object)
+    except GEOSException:  # one pair of many; find it
+        if len(shapes) == 1:
+            sound = shapely.make_valid(cutters, method="structure", keep_collapsed=False)
+            return np.asarray(shapely.difference(shapes, sound, grid_size=RESCUE_GRID_M), dtype=object)
+        middle = len(shapes) // 2
+        return np.concatenate(
+            (difference(shapes[:middle], cutters[:middle]), difference(shapes[middle:], cutters[middle:]))
+        )
+
+
+def drop_small(areas: Shapes, least_m2: float, *, half_width_m: float = SLIVER_M) -> tuple[Shapes, NDArray[np.int64]]:
+    """Drop pieces below an area, and slivers nowhere wider than twice `half_width_m`, by default 4 cm.
+
+    Returns
+    -------
+    The areas, None where nothing is left, and how many pieces each lost.
+    """
+    parts, owner = shapely.get_parts(areas, return_index=True)
+    area, length = shapely.area(parts), shapely.length(parts)
+    keep = (shapely.get_dimensions(parts) == 2) & (area >= least_m2) & (area > 0)
+    # the inscribed circle's radius is at least area / perimeter, so most need no closer look
+    thin = np.flatnonzero(keep & (area < half_width_m * length))
+    keep[thin] = ~shapely.is_empty(shapely.buffer(parts[thin], -half_width_m, quad_segs=1))
+    dropped = np.bincount(owner[~keep & (area > 0)], minlength=len(areas))
+    result = np.full(len(areas), None, dtype=object)
+    rows, counts = np.unique(owner[keep], return_counts=True)
+    kept, kept_owner = parts[keep], owner[keep]
+    whole = np.isin(kept_owner, rows[counts == 1])
+    result[kept_owner[whole]] = kept[whole]
+    if not whole.all():
+        place = np.searchsorted(rows[counts > 1], kept_owner[~whole])
+        result[rows[counts > 1]] = shapely.multipolygons(kept[~whole], indices=place)
+    return result, dropped.astype(np.int64)

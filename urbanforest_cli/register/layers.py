@@ -1,0 +1,197 @@
+"""The layers of a city beside its lots, brought to metres and to clean arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from urbanforest_cli.core.config import Rules
+from urbanforest_cli.core.errors import InputError
+from urbanforest_cli.core.notices import Notices
+from urbanforest_cli.core.params import PARAMETERS
+from urbanforest_cli.register.cleaning import first_look, polygons_of, repair
+from urbanforest_cli.register.envelopes import Surroundings
+from urbanforest_cli.register.rules import Entrances, locate_entrances, road_corners
+from urbanforest_cli.register.streets import Roads
+
+WIDEST_ROAD_M = 200.0
+ROAD_ID_COLUMNS = ("road_id", "osm_id", "id")
+
+Shapes = NDArray[Any]
+Project = Callable[[gpd.GeoDataFrame], Shapes]
+"""Gives a frame's shapes in metres; None for those that are missing or not finite."""
+
+
+def plain_columns(frame: pd.DataFrame, known: tuple[str, ...], where: object) -> pd.DataFrame:
+    """Return a frame whose known columns bear their names in small letters.
+
+    Raises
+    ------
+    InputError
+        Two columns differ by case alone.
+    """
+    seen: dict[str, str] = {}
+    for column in map(str, frame.columns):
+        other = seen.setdefault(column.strip().casefold(), column)
+        if other != column:
+            raise InputError(
+                "two columns differ by case alone",
+                where=where,
+                found=f"{other!r} and {column!r}",
+                next_step="rename or drop one of them",
+            )
+    names = {seen[name]: name for name in known if name in seen and seen[name] != name}
+    return frame.rename(columns=names)
+
+
+LOT_COLUMNS = ("lot_id", "zone", "strategy", *PARAMETERS)
+SKETCH_COLUMNS = ("sketch_id", "coverage", *LOT_COLUMNS)
+
+
+def polygons_in_metres(frame: gpd.GeoDataFrame, what: str, project: Project, notices: Notices) -> Shapes:
+    """Return a layer's polygons, valid, in metres; what is none is left out and counted."""
+    names = [f"row {row}" for row in frame.index]
+    checked = first_look(frame.geometry.to_numpy(), names, notices, what=what, note_missing=False)
+    checked.shapes = project(gpd.GeoDataFrame(geometry=checked.shapes, crs=frame.crs))
+    repair(checked, names, notices, what=what)
+    return checked.shapes
+
+
+def shapes_in_metres(frame: gpd.GeoDataFrame, what: str, project: Project, notices: Notices) -> Shapes:
+    """Return a layer's shapes of any kind in metres, None for what cannot be used, which is counted."""
+    shapes = shapely.force_2d(frame.geometry.to_numpy())
+    shapes = np.where(shapely.is_empty(shapes), None, shapes)
+    moved = project(gpd.GeoDataFrame(geometry=shapes, crs=frame.crs))
+    lost = ~shapely.is_missing(shapes) & shapely.is_missing(moved)
+    notices.add("W_NOT_FINITE", f"{what} with a coordinate that is no number", int(lost.sum()))
+    mixed = np.flatnonzero(shapely.get_type_id(moved) == 7)
+    for row in mixed:
+        moved[row] = polygons_of(moved[row])
+    broken = np.flatnonzero(~shapely.is_missing(moved) & ~shapely.is_valid(moved))
+    moved[broken] = shapely.make_valid(moved[broken], method="structure", keep_collapsed=False)
+    notices.add("W_REPAIRED_AROUND", f"{what} with broken geometry, repaired", len(broken))
+    moved[shapely.is_empty(moved)] = None
+    return np.asarray(moved, dtype=object)
+
+
+def lines_of(shapes: Shapes) -> tuple[Shapes, NDArray[np.int64]]:
+    """Take multi-lines apart; return single lines and polygons, and the row each came from."""
+    parts, row = shapely.get_parts(shapes, return_index=True)
+    fits = np.isin(shapely.get_type_id(parts), (1, 3))
+    return parts[fits], row[fits]
+
+
+def roads_of(frame: gpd.GeoDataFrame, project: Project, rules: Rules, notices: Notices) -> Roads:
+    """Return a city's roads with their widths; one that states none has the width of the rules."""
+    frame = plain_columns(frame, ("width_m", *ROAD_ID_COLUMNS), "layer 'roads'")
+    shapes, row = lines_of(shapes_in_metres(frame, "roads", project, notices))
+    widths = numbers(frame, "width_m")[row]
+    lines = shapely.get_dimensions(shapes) == 1
+    unknown = ~((widths > 0) & (widths <= WIDEST_ROAD_M))
+    notices.add(
+        "W_ROAD_WIDTH", f"roads without a usable width, taken as {rules.road_width_m:g} m", int((unknown & lines).sum())
+    )
+    widths = np.where(unknown, rules.road_width_m, widths)
+    return Roads(shapes, np.where(lines, widths, 0.0), _road_ids(frame)[row])
+
+
+def _road_ids(frame: gpd.GeoDataFrame) -> NDArray[np.object_]:
+    for name in ROAD_ID_COLUMNS:
+        if name in frame and frame[name].notna().all() and frame[name].is_unique:
+            return as_text(frame[name])
+    return as_text(pd.Series(frame.index))
+
+
+def as_text(column: pd.Series[Any]) -> NDArray[np.object_]:
+    """Return ids as text: whole numbers without a point, missing ones as None."""
+    values = column.to_numpy(dtype=object)
+    missing = column.isna().to_numpy()
+    return np.array(
+        [None if gone else _plain(value) for value, gone in zip(values, missing, strict=True)], dtype=object
+    )
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, float | np.floating) and float(value).is_integer():
+        return str(int(value))
+    return str(value)
+
+
+def numbers(frame: pd.DataFrame, name: str) -> NDArray[np.float64]:
+    """Return a column as numbers, NaN where it is missing or holds something else."""
+    if name not in frame:
+        return np.full(len(frame), np.nan)
+    values = pd.to_numeric(frame[name], errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def surroundings_of(
+    layers: Mapping[str, gpd.GeoDataFrame], roads: Roads, project: Project, rules: Rules, notices: Notices
+) -> Surroundings:
+    """Return all that plants keep away from.
+
+    Parameters
+    ----------
+    layers
+        Those of ``buildings``, ``driveways``, ``entrances`` and ``obstacles`` that the city has.
+    roads
+        As `roads_of` returns them.
+    """
+    nothing = np.empty(0, dtype=object)
+    buildings = driveways = obstacles = nothing
+    kinds, clearance = nothing, np.empty(0)
+    if "buildings" in layers:
+        buildings = polygons_in_metres(layers["buildings"], "buildings", project, notices)
+        buildings = buildings[~shapely.is_missing(buildings)]
+    if "driveways" in layers:
+        driveways, _ = lines_of(shapes_in_metres(layers["driveways"], "driveways", project, notices))
+    if "obstacles" in layers:
+        frame = plain_columns(layers["obstacles"], ("kind", "clearance_m"), "layer 'obstacles'")
+        shapes = shapes_in_metres(frame, "obstacles", project, notices)
+        there = ~shapely.is_missing(shapes)
+        obstacles, kinds = shapes[there], text(frame, "kind")[there]
+        clearance = numbers(frame, "clearance_m")[there]
+        wrong = clearance < 0
+        notices.add("W_CLEARANCE", "obstacles with a clearance below zero, taken by their kind", int(wrong.sum()))
+        clearance = np.where(wrong, np.nan, clearance)
+    lines = shapely.get_type_id(roads.shapes) == 1
+    entrances = _entrances(layers.get("entrances"), project, buildings, notices)
+    return Surroundings(
+        buildings=buildings,
+        driveways=driveways,
+        entrances=entrances,
+        obstacles=obstacles,
+        obstacle_kinds=kinds,
+        obstacle_clearance_m=clearance,
+        roads=roads.shapes,
+        road_widths_m=roads.widths_m,
+        corners=road_corners(roads.shapes[lines], roads.widths_m[lines]),
+    )
+
+
+def text(frame: pd.DataFrame, name: str) -> NDArray[np.object_]:
+    """Return a column as text, blank where it is missing."""
+    if name not in frame:
+        return np.full(len(frame), "", dtype=object)
+    return np.array(["" if value is None else str(value).strip() for value in as_text(frame[name])], dtype=object)
+
+
+def _entrances(frame: gpd.GeoDataFrame | None, project: Project, buildings: Shapes, notices: Notices) -> Entrances:
+    if frame is None:
+        return Entrances()
+    frame = plain_columns(frame, ("kind",), "layer 'entrances'")
+    shapes = shapes_in_metres(frame, "entrances", project, notices)
+    there = ~shapely.is_missing(shapes)
+    shapes, kinds = shapes[there], text(frame, "kind")[there]
+    windows = np.array([kind.casefold() == "window" for kind in kinds], dtype=bool)
+    unknown = np.array([kind.casefold() not in ("window", "door") for kind in kinds], dtype=bool)
+    notices.add("W_ENTRANCE_KIND", "entrances that are neither door nor window, taken as doors", int(unknown.sum()))
+    entrances, on_wall = locate_entrances(shapes, windows, buildings)
+    notices.add("W_ENTRANCE_ALONE", "entrances without a wall within 3 m, left out", int((~on_wall).sum()))
+    return entrances

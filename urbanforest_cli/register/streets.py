@@ -1,0 +1,204 @@
+"""Street lots where a register has none: a strip along both sides of every road, for the trees along it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from urbanforest_cli.core.config import Rules
+from urbanforest_cli.register.cleaning import id_order
+from urbanforest_cli.register.envelopes import difference, drop_small, outer_buffer
+from urbanforest_cli.register.rules import NODE_REACH_M, carriageway_reach_m
+
+SAMPLE_STEP_M = 5.0
+STRIP_LEAST_M = 0.5
+"""Pieces of a strip that are nowhere wider hold no tree."""
+COVERED_SHARE = 0.5
+"""A road of which more than half lies in lots is one that the register does not cut out."""
+
+Shapes = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Roads:
+    """Roads in metres: lines with the width of their carriageway, or polygons of it with width 0."""
+
+    shapes: Shapes
+    widths_m: NDArray[np.float64]
+    ids: NDArray[np.object_]
+
+
+@dataclass(frozen=True)
+class Strips:
+    """Street strips: one a road, None where there is no room, and the corridors that lots leave to them."""
+
+    shapes: Shapes
+    ids: NDArray[np.object_]
+    corridors: Shapes
+
+
+def join_roads(roads: Roads) -> Roads:
+    """Join road lines of one width that go on in each other, so that a street is one lot and not many.
+
+    Lines are joined where exactly two ends meet and nothing crosses. A joined road has the first of its members' ids.
+    """
+    lines = shapely.get_type_id(roads.shapes) == 1
+    shapes, widths, ids = roads.shapes[lines], roads.widths_m[lines], roads.ids[lines]
+    root = np.arange(len(shapes))
+
+    def find(member: int) -> int:
+        while root[member] != member:
+            root[member] = root[root[member]]
+            member = int(root[member])
+        return member
+
+    for one, other in _continuations(shapes):
+        if widths[one] == widths[other]:
+            root[find(one)] = find(other)
+    groups: dict[int, list[int]] = defaultdict(list)
+    for member in range(len(shapes)):
+        groups[find(member)].append(member)
+    joined, joined_widths, joined_ids = [], [], []
+    for members in groups.values():
+        members.sort(key=lambda member: id_order(str(ids[member])))
+        whole = shapes[members[0]]
+        if len(members) > 1:
+            whole = shapely.line_merge(shapely.multilinestrings(shapes[members]))
+        joined.append(whole)
+        joined_widths.append(widths[members[0]])
+        joined_ids.append(ids[members[0]])
+    order = sorted(range(len(joined)), key=lambda row: id_order(str(joined_ids[row])))
+    result = np.empty(len(joined), dtype=object)
+    result[:] = [joined[row] for row in order]
+    return Roads(
+        np.concatenate((result, roads.shapes[~lines])),
+        np.concatenate(([joined_widths[row] for row in order], roads.widths_m[~lines])).astype(np.float64),
+        np.concatenate((np.array([joined_ids[row] for row in order], dtype=object), roads.ids[~lines])),
+    )
+
+
+def _continuations(lines: Shapes) -> list[tuple[int, int]]:
+    """Return pairs of lines that share an end with each other and with no third line."""
+    if len(lines) < 2:
+        return []
+    ends = np.concatenate((shapely.get_point(lines, 0), shapely.get_point(lines, -1)))
+    line_of = np.tile(np.arange(len(lines)), 2)
+    end, line = shapely.STRtree(lines).query(ends, predicate="dwithin", distance=NODE_REACH_M / 100)
+    alone = np.bincount(end, minlength=len(ends)) == 2
+    end, line = end[alone[end]], line[alone[end]]
+    other = line != line_of[end]
+    end, line = end[other], line[other]
+    gap = np.minimum(
+        shapely.distance(ends[end], shapely.get_point(lines[line], 0)),
+        shapely.distance(ends[end], shapely.get_point(lines[line], -1)),
+    )
+    meets = gap <= NODE_REACH_M / 100
+    pairs = zip(line_of[end[meets]].tolist(), line[meets].tolist(), strict=True)
+    return sorted({(min(a, b), max(a, b)) for a, b in pairs})
+
+
+def share_in_lots(roads: Shapes, lots: Shapes) -> NDArray[np.float64]:
+    """Return which share of each road lies in lots, by points every 5 m along its middle."""
+    share = np.zeros(len(roads))
+    present = np.asarray(lots)[~shapely.is_missing(lots)]
+    if not len(roads) or not len(present):
+        return share
+    polygons = shapely.get_dimensions(roads) == 2
+    middles = np.where(polygons, shapely.boundary(shapely.buffer(roads, -0.5)), roads)
+    lengths = shapely.length(middles)
+    counts = np.maximum(np.ceil(lengths / SAMPLE_STEP_M).astype(np.int64), 1)
+    owner = np.repeat(np.arange(len(roads)), counts)
+    nth = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    points = shapely.line_interpolate_point(middles[owner], (nth + 0.5) / counts[owner], normalized=True)
+    inside = np.unique(shapely.STRtree(present).query(points, predicate="intersects")[0])
+    hit = np.bincount(owner[inside], minlength=len(roads))
+    return np.asarray(hit / counts)
+
+
+def verge_strips(roads: Roads, rules: Rules, lots: Shapes) -> Strips:
+    """Return the strips for trees on both sides of roads.
+
+    A strip begins `curb_clearance_m` beyond the curb and is `verge_width_m` wide. It leaves out every carriageway,
+    and strips of roads before it. Where the register cuts roads out of the lots, it stays `sidewalk_width_m` from
+    them; where more than half of a road lies in lots, the lots reach over it, and they give way to the strip and the
+    sidewalk beyond it: the road's corridor.
+
+    Parameters
+    ----------
+    roads
+        As `join_roads` returns them; where strips meet, the first has the ground.
+    lots
+        (n,) valid polygons in metres, None for none.
+    """
+    inner = carriageway_reach_m(roads.shapes, roads.widths_m, rules)
+    outer = inner + rules.verge_width_m
+    lines = shapely.get_dimensions(roads.shapes) == 1
+    strips = np.full(len(roads.shapes), None, dtype=object)
+    carriageways = np.full(len(roads.shapes), None, dtype=object)
+    corridors = np.full(len(roads.shapes), None, dtype=object)
+    for reach in np.unique(inner):
+        same = inner == reach
+        carriageways[same] = outer_buffer(roads.shapes[same], float(reach))
+        wide = float(reach) + rules.verge_width_m + rules.sidewalk_width_m
+        corridors[same] = outer_buffer(roads.shapes[same], wide)
+        for line in (True, False):
+            rows = same & (lines == line)
+            strips[rows] = shapely.buffer(
+                roads.shapes[rows], outer[rows], quad_segs=8, cap_style="flat" if line else "round"
+            )
+    strips = _less_carriageways(strips, carriageways)
+    covered = share_in_lots(roads.shapes, lots) > COVERED_SHARE
+    present = np.asarray(lots)[~shapely.is_missing(lots)]
+    strips = _less_lots(strips, present, rules.sidewalk_width_m, ~covered)
+    strips = _less_earlier(strips)
+    strips, _ = drop_small(strips, rules.min_area_m2, half_width_m=STRIP_LEAST_M / 2)
+    corridors[~covered | shapely.is_missing(strips)] = None
+    return Strips(strips, roads.ids, corridors)
+
+
+def _less_carriageways(strips: Shapes, carriageways: Shapes) -> Shapes:
+    left = np.array(strips, dtype=object)
+    strip, other = shapely.STRtree(carriageways).query(left, predicate="intersects")
+    order = np.lexsort((other, strip))
+    strip, other = strip[order], other[order]
+    bounds = np.searchsorted(strip, np.arange(len(left) + 1))
+    for row in np.unique(strip):
+        whole = shapely.union_all(carriageways[other[bounds[row] : bounds[row + 1]]])
+        left[row] = difference(left[row : row + 1], np.array([whole], dtype=object))[0]
+    return left
+
+
+def _less_lots(strips: Shapes, lots: Shapes, sidewalk_m: float, rows: NDArray[np.bool_]) -> Shapes:
+    left = np.array(strips, dtype=object)
+    if not len(lots):
+        return left
+    strip, lot = shapely.STRtree(lots).query(left, predicate="dwithin", distance=sidewalk_m)
+    keep = rows[strip]
+    strip, lot = strip[keep], lot[keep]
+    order = np.lexsort((lot, strip))
+    strip, lot = strip[order], lot[order]
+    used, place = np.unique(lot, return_inverse=True)
+    wide = outer_buffer(lots[used], sidewalk_m)
+    bounds = np.searchsorted(strip, np.arange(len(left) + 1))
+    for row in np.unique(strip):
+        near = wide[place[bounds[row] : bounds[row + 1]]]
+        left[row] = difference(left[row : row + 1], np.array([shapely.union_all(near)], dtype=object))[0]
+    return left
+
+
+def _less_earlier(strips: Shapes) -> Shapes:
+    left = np.array(strips, dtype=object)
+    one, other = shapely.STRtree(left).query(left, predicate="intersects")
+    earlier: dict[int, list[int]] = defaultdict(list)
+    for row, before in sorted(zip(one.tolist(), other.tolist(), strict=True)):
+        if before < row:
+            earlier[row].append(before)
+    for row in sorted(earlier):
+        for before in earlier[row]:
+            left[row] = difference(left[row : row + 1], strips[before : before + 1])[0]
+    return left

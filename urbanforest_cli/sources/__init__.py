@@ -1,0 +1,1 @@
+"""Sources: what people have, made into a city file."""

@@ -1,0 +1,1 @@
+"""A procedural city: streets, blocks, lots, buildings and what stands between them."""

@@ -1,0 +1,257 @@
+"""Make a procedural city file."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError
+
+from urbanforest_cli.core.config import Config, Species
+from urbanforest_cli.core.crs import is_metric
+from urbanforest_cli.core.errors import CrsError, LimitError, OutputExistsError
+from urbanforest_cli.core.notices import Notices
+from urbanforest_cli.core.progress import Progress, silent
+from urbanforest_cli.core.randomness import rng_for
+from urbanforest_cli.core.species import Catalogue
+from urbanforest_cli.core.summary import StageSummary
+from urbanforest_cli.files.geopackage import write_layers
+from urbanforest_cli.files.provenance import Record, stage_key
+from urbanforest_cli.files.species import load_catalogue
+from urbanforest_cli.synth.blocks import make_blocks
+from urbanforest_cli.synth.buildings import Buildings, make_buildings
+from urbanforest_cli.synth.furniture import Obstacles, place_obstacles
+from urbanforest_cli.synth.inventory import Inventory, take_inventory
+from urbanforest_cli.synth.lots import Lots, dig_ponds, make_lots, nearest_lots
+from urbanforest_cli.synth.plan import Geometries, make_plan
+from urbanforest_cli.synth.sketches import Sketches, draw_sketches
+from urbanforest_cli.synth.streets import Roads, finish_streets
+from urbanforest_cli.synth.zoning import zone_lots
+
+STAGE = "synth"
+LOT_COUNT_MIN, LOT_COUNT_MAX = 10, 1_000_000
+DEFAULT_CRS = "EPSG:32633"
+DEFAULT_PLACE = (459_000.0, 5_549_000.0)
+"""Easting and northing of the city's centre in the default CRS, in Bohemia."""
+
+_GROUND_A_LOT_M2 = 1150.0
+_MARGIN_M = 70.0
+_BLOCKS_FULL_LENGTH_FROM = 150
+
+GEOMETRY_TYPES = {
+    "lots": "MultiPolygon",
+    "buildings": "Polygon",
+    "roads": "LineString",
+    "driveways": "Polygon",
+    "entrances": "Point",
+    "obstacles": "Unknown",
+    "sketches": "Polygon",
+    "observed_plants": "Point",
+}
+
+
+@dataclass(frozen=True)
+class SynthCity:
+    """All of a city in metres from its centre; `core.crs` and files know nothing of it yet."""
+
+    lots: Lots
+    zones: NDArray[np.object_]
+    buildings: Buildings
+    roads: Roads
+    obstacles: Obstacles
+    sketches: Sketches
+    inventory: Inventory
+
+
+def make_city(
+    output: Path,
+    *,
+    lot_count: int,
+    seed: int,
+    crs: str = DEFAULT_CRS,
+    squares: bool = True,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> StageSummary:
+    """Make a procedural city and publish it as a GeoPackage.
+
+    Writes layers ``lots``, ``buildings``, ``roads``, ``driveways``, ``entrances``, ``obstacles``, ``sketches`` and
+    ``observed_plants``. The city depends on the number of lots and the seed alone.
+
+    Parameters
+    ----------
+    output
+        The city file.
+    lot_count
+        Lots it shall have, exactly.
+    crs
+        A projected CRS in metres.
+    squares
+        Make a lot in some twenty thousand a square of the street zone.
+    overwrite
+        Replace a file that stands in the way.
+
+    Raises
+    ------
+    LimitError
+        Fewer than 10 lots, or more than a million.
+    CrsError
+        The CRS is unknown, not projected, or not in metres.
+    OutputExistsError
+        The file is there already.
+    OutputError
+        It could not be written whole.
+    """
+    started = time.perf_counter()
+    if not LOT_COUNT_MIN <= lot_count <= LOT_COUNT_MAX:
+        raise LimitError(
+            "this many lots cannot be made",
+            where="--lots",
+            found=lot_count,
+            expected=f"{LOT_COUNT_MIN} to {LOT_COUNT_MAX:,}",
+        )
+    if output.exists() and not overwrite:
+        raise OutputExistsError("the file is there already", where=output, next_step="add --overwrite to replace it")
+    target, place = city_place(crs)
+    catalogue = load_catalogue(Species())
+    frames = _frames(build_city(lot_count, seed, catalogue, squares=squares, progress=progress), target, place)
+    counts: dict[str, int | float | str] = {name: len(frame) for name, frame in frames.items()}
+    settings: dict[str, object] = {"lots": lot_count, "crs": crs, "squares": squares}
+    record = Record(
+        stage=STAGE,
+        seed=seed,
+        stage_key=stage_key(STAGE, config=Config(), seed=seed, inputs=[json.dumps(settings)], sections=()),
+        working_crs=target,
+        config=settings,
+        inputs=[],
+        counts=dict(counts),
+    )
+    frames["provenance"] = pd.DataFrame([record.as_row()])
+    progress("writing", 0, 1)
+    write_layers(output, frames, fresh=True, geometry_types=GEOMETRY_TYPES)
+    progress("writing", 1, 1)
+    return StageSummary(STAGE, output, counts, Notices(), time.perf_counter() - started)
+
+
+def city_place(text: str) -> tuple[CRS, tuple[float, float]]:
+    """Return a CRS and where in it the city lies: the middle of its area of use, to a kilometre.
+
+    Raises
+    ------
+    CrsError
+        The CRS is unknown, not projected, or not in metres.
+    """
+    try:
+        crs = CRS.from_user_input(text)
+    except CRSError as error:
+        raise CrsError("unknown CRS", where="--crs", found=text, expected="for example EPSG:32633") from error
+    if not is_metric(crs):
+        raise CrsError(
+            "not a projected CRS in metres",
+            where="--crs",
+            found=f"{text} ({crs.name}), axes in {', '.join(axis.unit_name for axis in crs.axis_info)}",
+            expected="for example EPSG:32633, or the UTM zone of your place",
+        )
+    if crs == CRS.from_user_input(DEFAULT_CRS):
+        return crs, DEFAULT_PLACE
+    area = crs.area_of_use
+    if area is None:
+        return crs, (0.0, 0.0)
+    longitude, latitude = (area.west + area.east) / 2, (area.south + area.north) / 2
+    x, y = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(longitude, latitude)
+    if not (math.isfinite(x) and math.isfinite(y)):
+        return crs, (0.0, 0.0)
+    return crs, (round(x, -3), round(y, -3))
+
+
+def build_city(
+    lot_count: int, seed: int, catalogue: Catalogue, *, squares: bool = True, progress: Progress = silent
+) -> SynthCity:
+    """Build a city of exactly `lot_count` lots around the origin.
+
+    A plan somewhat too large is laid out and the blocks nearest the centre are kept; should it be too small after
+    all, a larger one is.
+    """
+    steps = 5
+    block_scale = float(np.clip(lot_count / _BLOCKS_FULL_LENGTH_FROM, 0.45, 1.0))
+    radius_m = math.sqrt(lot_count * _GROUND_A_LOT_M2 / math.pi)
+    while True:
+        progress("building the city", 0, steps)
+        plan = make_plan(lot_count, radius_m, rng_for(seed, STAGE, "plan"))
+        blocks, side_streets = make_blocks(plan, block_scale, rng_for(seed, STAGE, "blocks"))
+        lots = make_lots(blocks, plan, rng_for(seed, STAGE, "lots"))
+        if len(lots) >= lot_count:
+            break
+        radius_m = radius_m * math.sqrt(1.2 * lot_count / max(len(lots), 1)) + _MARGIN_M
+    lots, blocks = nearest_lots(lots, blocks, lot_count)
+    progress("building the city", 1, steps)
+    zones = zone_lots(lots, plan.main_roads, rng_for(seed, STAGE, "zones"), squares=squares)
+    lots, ponds = dig_ponds(lots, rng_for(seed, STAGE, "ponds"))
+    progress("building the city", 2, steps)
+    buildings = make_buildings(lots, zones, radius_m, rng_for(seed, STAGE, "buildings"))
+    progress("building the city", 3, steps)
+    roads = finish_streets(plan, side_streets, blocks)
+    obstacles = place_obstacles(plan, roads, blocks, lots, ponds, buildings, rng_for(seed, STAGE, "obstacles"))
+    progress("building the city", 4, steps)
+    sketches = draw_sketches(lots, zones)
+    inventory = take_inventory(
+        lots, zones, buildings.shapes, buildings.driveways, roads, catalogue, rng_for(seed, STAGE, "inventory")
+    )
+    progress("building the city", steps, steps)
+    return SynthCity(lots, zones, buildings, roads, obstacles, sketches, inventory)
+
+
+def _frames(city: SynthCity, crs: CRS, place: tuple[float, float]) -> dict[str, pd.DataFrame]:
+    """Lay the city down at its place, a frame a layer; a layer without rows is left out."""
+
+    def layer(shapes: Geometries, columns: dict[str, Any] | None = None) -> gpd.GeoDataFrame:
+        return gpd.GeoDataFrame(columns or {}, geometry=_moved(shapes, place), crs=crs)
+
+    lots, buildings, trees, sketches = city.lots, city.buildings, city.inventory, city.sketches
+    layers = {
+        "lots": layer(lots.shapes, {"lot_id": [f"L{number:06d}" for number in range(len(lots))], "zone": city.zones}),
+        "buildings": layer(
+            buildings.shapes,
+            {
+                "building_id": [f"B{number:06d}" for number in range(len(buildings.shapes))],
+                "height_m": buildings.heights_m,
+            },
+        ),
+        "roads": layer(city.roads.lines, {"kind": city.roads.kinds, "width_m": city.roads.widths_m}),
+        "driveways": layer(buildings.driveways),
+        "entrances": layer(buildings.entrances, {"kind": buildings.entrance_kinds}),
+        "obstacles": layer(
+            city.obstacles.shapes, {"kind": city.obstacles.kinds, "clearance_m": city.obstacles.clearances_m}
+        ),
+        "sketches": layer(
+            sketches.shapes,
+            {
+                "sketch_id": [f"S{number + 1}" for number in range(len(sketches.shapes))],
+                "strategy": sketches.strategies,
+                "coverage": sketches.coverage,
+                "spacing_m": sketches.spacing_m,
+                "radius_mean_m": sketches.radius_mean_m,
+                "cluster_radius_m": sketches.cluster_radius_m,
+                "note": sketches.notes,
+            },
+        ),
+        "observed_plants": layer(
+            trees.points,
+            {"species": trees.species, "height_m": trees.heights_m, "crown_diameter_m": trees.crown_diameters_m},
+        ),
+    }
+    return {name: frame for name, frame in layers.items() if len(frame)}
+
+
+def _moved(shapes: Geometries, place: tuple[float, float]) -> Geometries:
+    return np.asarray(shapely.transform(shapes, lambda xy: xy + np.asarray(place)))
