@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import pytest
-
 from urbanforest_cli.core.errors import EXIT_BAD_INPUT, UrbanForestError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.files.vectors import read_vector
@@ -63,8 +61,7 @@ def judged(folder: Path, work: Callable[[Case], Notices]) -> tuple[int, list[str
             outcome = "reject"
             if error.exit_code != EXIT_BAD_INPUT or case.path.name not in str(error):
                 outcome = f"reject with exit code {error.exit_code}: {error}"
-        # Whatever else comes out of a library is what this test is for.
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 whatever else comes out of a library is what this test looks for
             outcome = f"{type(error).__name__}: {error}"
         spent = time.process_time() - started
         if not case.agrees(outcome) or spent > LONGEST_S:

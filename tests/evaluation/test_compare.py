@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import shapely
 
-from urbanforest_cli.evaluation.compare import PlantsOfLots, compare_plants, open_ground
+from urbanforest_cli.evaluation.compare import compare_plants, open_ground
 from urbanforest_cli.evaluation.references import uniform_points
+from urbanforest_cli.evaluation.results import PlantsOfLots
 
 LOTS = 28
 RADIUS_M = 3.13

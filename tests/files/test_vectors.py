@@ -256,6 +256,15 @@ def test_a_database_left_in_wal_mode_leaves_nothing_beside_it(written: Callable[
     assert sorted(entry.name for entry in tmp_path.iterdir()) == before
 
 
+def test_gml_without_a_schema_is_read_and_nothing_is_left_beside_it(
+    written: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = written(squares(owner=["x", "y", "z"]), "a.gml")
+    path.with_suffix(".xsd").unlink()
+    assert read_vector(path, notices=Notices())["owner"].tolist() == ["x", "y", "z"]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.gml"]
+
+
 def _vrt(path: Path) -> None:
     path.write_text('<OGRVRTDataSource><OGRVRTLayer name="a"><SrcDataSource>b.csv</SrcDataSource></OGRVRTLayer>'
                     "</OGRVRTDataSource>")  # fmt: skip
@@ -281,7 +290,7 @@ BAD_FILES: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "an unknown format": ("a.dwg", lambda path: path.write_text("AC1032"), "unknown vector format"),
     "text as a GeoPackage": ("a.gpkg", lambda path: path.write_text("lot_id,zone"), "not a GeoPackage"),
     "GML as GeoJSON": ("a.geojson", lambda path: path.write_text("<gml xmlns='http://www.opengis.net/gml'/>"), "not"),
-    "XML with an entity": ("a.gml", lambda path: path.write_text("<!DOCTYPE a [<!ENTITY b SYSTEM 'c'>]>"), "document type"),
+    "XML with an entity": ("a.gml", lambda path: path.write_text("<!DOCTYPE a [<!ENTITY b 'c'>]>"), "document type"),
     "another SQLite database": ("a.gpkg", lambda path: _database(path), "not a GeoPackage"),
     "half a Parquet file": ("a.parquet", lambda path: path.write_bytes(b"PAR1" + bytes(50)), "cannot be read"),
     "half a FlatGeobuf": ("a.fgb", lambda path: path.write_bytes(b"fgb\x03fgb\x00" + bytes(20)), "no layers"),

@@ -65,9 +65,12 @@ def largest_gap(
     grid = grid[shapely.contains_xy(area, grid[:, 0], grid[:, 1])]
     if not len(grid):
         return -np.inf
-    nearest = min(len(xy), 12)  # a disc that sets a clearance is among the nearest centres, for the radii tested
-    distance, index = cKDTree(xy).query(grid, k=[*range(1, nearest + 1)])
-    clearance = (distance - radius_m[index]).min(axis=1)
+    clearance = np.full(len(grid), np.inf)
+    octave = np.floor(np.log2(radius_m))
+    for size in np.unique(octave):  # of discs alike in size the one that sets a clearance is among the nearest centres
+        centres, radii = xy[octave == size], radius_m[octave == size]
+        distance, index = cKDTree(centres).query(grid, k=[*range(1, min(len(radii), 12) + 1)])
+        clearance = np.minimum(clearance, (distance - radii[index]).min(axis=1))
     doubtful = np.argsort(clearance)[::-1]
     for k in doubtful[:2000]:  # the edge's distance is slow, and matters only to the largest
         if shapely.distance(shapely.Point(grid[k]), area.boundary) >= edge_m:

@@ -201,7 +201,9 @@ def test_a_lot_of_a_tenth_of_a_millimetre_is_a_lot():
 def test_a_lot_across_the_antimeridian_is_never_359_degrees_wide():
     notices = Notices()
     crossing = Polygon([(179.999, 10), (-179.999, 10), (-179.999, 10.001), (179.999, 10.001)])
-    moved, shifted = unwrap_longitudes(shapes(crossing, box(179.99, 10, 179.998, 10.001), None), ["a", "b", "c"], notices)
+    moved, shifted = unwrap_longitudes(
+        shapes(crossing, box(179.99, 10, 179.998, 10.001), None), ["a", "b", "c"], notices
+    )
     assert shifted
     assert moved[0].bounds == pytest.approx((179.999, 10, 180.001, 10.001))
     assert notices.count("W_ANTIMERIDIAN") == 1
@@ -228,14 +230,13 @@ def test_a_lot_far_from_all_others_is_taken_out_and_named():
     checked = Checked(shapes(*city, box(0, 0, 0.001, 0.001)), np.full(count, "", object), np.full(count, "", object))
     drop_strays(checked, CRS.from_epsg(4326), list("abcdef"), notices)
     assert checked.reasons.tolist() == [""] * 5 + ["misplaced"]
-    assert list(notices)[0].examples == ["f"]
+    assert next(iter(notices)).examples == ["f"]
 
 
 def test_identical_lots_are_the_first_of_them_by_id():
     one, other = box(0, 0, 10, 10), Polygon([(10, 10), (0, 10), (0, 0), (10, 0)])
-    assert twins(shapes(one, other, box(0, 0, 9, 10), one, None), np.array(["10", "9", "1", "b", "c"], dtype=object)).tolist() == [
-        1, -1, -1, 1, -1,
-    ]  # fmt: skip
+    ids = np.array(["10", "9", "1", "b", "c"], dtype=object)
+    assert twins(shapes(one, other, box(0, 0, 9, 10), one, None), ids).tolist() == [1, -1, -1, 1, -1]
 
 
 def test_lots_that_fit_together_do_not_overlap():
@@ -257,7 +258,9 @@ def test_of_overlapping_lots_of_one_size_the_first_id_keeps_the_ground():
 
 
 def test_neighbours_that_overlap_by_a_hand_are_left_alone():
-    giving, _ = overlaps(shapes(box(0, 0, 10, 10), box(9.99, 0, 20, 10)), np.array(["a", "b"], dtype=object), least_m2=1.0)
+    giving, _ = overlaps(
+        shapes(box(0, 0, 10, 10), box(9.99, 0, 20, 10)), np.array(["a", "b"], dtype=object), least_m2=1.0
+    )
     assert len(giving) == 0
 
 

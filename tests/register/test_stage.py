@@ -58,10 +58,12 @@ def test_the_users_city_is_only_read(run, tiny_city):
 
 def test_the_users_columns_come_along_and_clashing_names_are_kept_as_source(stencil):
     columns = {
-        "owner": ["x", None], "floors": [3, 4], "origin": ["here", "there"], "AREA_M2": [1.5, 2.5], "listed": [True, False],
-        "zone": ["Street ", "residential"],
+        "owner": ["x", None], "floors": [3, 4], "origin": ["here", "there"], "AREA_M2": [1.5, 2.5],
+        "listed": [True, False], "zone": ["Street ", "residential"],
     }  # fmt: skip
-    register = stencil([lot(), lot(1)], layers={"sketches": [box(WEST + 5, SOUTH + 5, WEST + 25, SOUTH + 25)]}, **columns)
+    register = stencil(
+        [lot(), lot(1)], layers={"sketches": [box(WEST + 5, SOUTH + 5, WEST + 25, SOUTH + 25)]}, **columns
+    )
     lots = register.layer("lots").set_index("lot_id")
     assert lots.loc["a", "owner"] == "x"
     assert pd.isna(lots.loc["b", "owner"])
@@ -238,7 +240,10 @@ def test_heights_of_lots_do_not_matter(stencil):
 
 def test_a_lot_with_an_unclosed_ring_is_skipped_and_the_others_are_kept(tmp_path, run):
     city = tmp_path / "open.geojson"
-    rings = [[[15, 48], [15.001, 48], [15.001, 48.001], [15, 48.001], [15, 48]], [[15.002, 48], [15.003, 48], [15.003, 48.001]]]
+    rings = [
+        [[15, 48], [15.001, 48], [15.001, 48.001], [15, 48.001], [15, 48]],
+        [[15.002, 48], [15.003, 48], [15.003, 48.001]],
+    ]
     features = [
         f'{{"type":"Feature","properties":{{"lot_id":"{name}"}},"geometry":{{"type":"Polygon","coordinates":[{ring}]}}}}'
         for name, ring in zip("ab", rings, strict=True)
@@ -428,8 +433,8 @@ def test_unknown_zones_become_other_and_are_counted(stencil):
 
 
 NAUGHTY = [
-    "'; DROP TABLE lots;--", '"', "../../etc/passwd", "/absolute", "\n", "😍", "﷽", "ก็็็็", "NULL", "nan", "-0", "1e5", "%s%n",
-    "<script>", "\u202e", "x" * 3000, "undefined", "$(touch x)", "\ufeff", "a\tb",
+    "'; DROP TABLE lots;--", '"', "../../etc/passwd", "/absolute", "\n", "😍", "﷽", "ก็็็็", "NULL", "nan", "-0", "1e5",
+    "%s%n", "<script>", "\u202e", "x" * 3000, "undefined", "$(touch x)", "\ufeff", "a\tb",
 ]  # fmt: skip
 
 
@@ -478,7 +483,9 @@ def test_columns_that_differ_by_case_alone_are_refused(tmp_path, run):
     ring = [[15, 48], [15.001, 48], [15.001, 48.001], [15, 48.001], [15, 48]]
     geometry = f'"geometry":{{"type":"Polygon","coordinates":[{ring}]}}'
     city.write_text(
-        '{"type":"FeatureCollection","features":[{"type":"Feature","properties":{"Zone":"a","zone":"b"},' + geometry + "}]}"
+        '{"type":"FeatureCollection","features":[{"type":"Feature","properties":{"Zone":"a","zone":"b"},'
+        + geometry
+        + "}]}"
     )
     with pytest.raises(InputError, match="case alone"):
         run(city)

@@ -29,7 +29,9 @@ def test_a_straight_road_has_a_strip_on_both_sides_beyond_the_curb():
 
 
 def test_strips_keep_off_the_carriageways_of_other_roads_and_off_each_other():
-    crossing = roads(LineString([(-80, 0), (80, 0)]), LineString([(3, -80), (10, 80)]), LineString([(-80, 9), (80, 11)]))
+    crossing = roads(
+        LineString([(-80, 0), (80, 0)]), LineString([(3, -80), (10, 80)]), LineString([(-80, 9), (80, 11)])
+    )
     strips = verge_strips(crossing, Rules(), NO_LOTS).shapes
     present = strips[~shapely.is_missing(strips)]
     for strip in present:

@@ -37,8 +37,9 @@ def test_polygons_that_enclose_nothing_are_left_and_counted() -> None:
 
 
 def test_one_coordinate_that_is_no_number_costs_its_row_only() -> None:
-    broken = Polygon([(0, 0), (1, 0), (1, float("nan")), (0, 1)])
-    infinite = Polygon([(0, 0), (1, 0), (1, float("inf")), (0, 1)])
+    with np.errstate(invalid="ignore"):
+        broken = Polygon([(0, 0), (1, 0), (1, float("nan")), (0, 1)])
+        infinite = Polygon([(0, 0), (1, 0), (1, float("inf")), (0, 1)])
     found, notices = cleaned(broken, infinite, box(0, 0, 1, 1))
     assert [shape is None for shape in found] == [True, True, False]
     assert notices.count("W_NOT_FINITE") == 2

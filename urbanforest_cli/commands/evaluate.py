@@ -14,7 +14,7 @@ from urbanforest_cli.commands import options
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from urbanforest_cli.evaluation.compare import Evaluation
+    from urbanforest_cli.evaluation.results import Evaluation
     from urbanforest_cli.evaluation.stage import EvaluationSummary
     from urbanforest_cli.evaluation.two_sample import FlipTest
 

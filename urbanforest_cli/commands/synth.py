@@ -15,8 +15,7 @@ from urbanforest_cli.commands import options
 @options.seed_opt
 @click.option("-o", "--output", type=options.FilePath(), required=True, metavar="CITY.gpkg", help="City file to write.")
 @click.option("--crs", default="EPSG:32633", show_default=True, metavar="EPSG:CODE", help="A projected CRS in metres.")
-@click.option("--squares/--no-squares", default=True, show_default=True,
-              help="Make a few lots squares, of the street zone.")  # fmt: skip
+@click.option("--squares", is_flag=True, help="Make a few lots squares of the street zone; else roads alone are it.")
 @options.overwrite_opt
 @options.json_opt
 @options.talk_opts

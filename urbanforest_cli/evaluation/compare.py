@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.randomness import rng_for
 from urbanforest_cli.evaluation.chamfer import chamfer
-from urbanforest_cli.evaluation.counts import CountScores, count_scores
+from urbanforest_cli.evaluation.counts import count_scores
 from urbanforest_cli.evaluation.edges import EDGE_SHARES, building_distances, edge_distances
 from urbanforest_cli.evaluation.features import pattern_features
 from urbanforest_cli.evaluation.patterns import Patterns
 from urbanforest_cli.evaluation.point_patterns import (
-    NEIGHBOUR_SHARES,
     RADII_M,
     l_envelope,
     lot_l,
@@ -26,94 +25,27 @@ from urbanforest_cli.evaluation.point_patterns import (
     pooled_l,
 )
 from urbanforest_cli.evaluation.references import even_points, lattice_points, uniform_points
-from urbanforest_cli.evaluation.scores import Score, score_against
-from urbanforest_cli.evaluation.two_sample import ClassifierTest, FlipTest, classifier_test, flip_test
+from urbanforest_cli.evaluation.results import (
+    EVEN,
+    LATTICE,
+    MODEL,
+    RANDOM,
+    REAL,
+    ChamferRow,
+    Curves,
+    Evaluation,
+    PlantsOfLots,
+)
+from urbanforest_cli.evaluation.scores import score_against
+from urbanforest_cli.evaluation.two_sample import FlipTest, classifier_test, flip_test
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-REAL, MODEL, RANDOM, EVEN, LATTICE = "real", "model", "random", "even", "lattice"
 TEST_PAIRS = 1e7
 TEST_POINTS_MIN, TEST_POINTS_MAX = 64, 1000
 LOTS_FOR_TESTS_MIN = 2
 LARGEST_LOT_PLANTS = 20_000
-
-
-@dataclass(frozen=True)
-class PlantsOfLots:
-    """Positions (n, 2) in metres and the lot of each, an index; in any order."""
-
-    xy: Floats
-    lot: Ints
-
-    def by_lot(self, lots: int) -> list[Floats]:
-        """Return one array of positions a lot, each in the order given."""
-        order = np.argsort(self.lot, kind="stable")
-        return np.split(self.xy[order], np.cumsum(np.bincount(self.lot, minlength=lots))[:-1])
-
-
-@dataclass(frozen=True)
-class ChamferRow:
-    """Mean over lots of the sum of squared distances per lot area, both ways."""
-
-    name: str
-    against: str
-    there: float
-    back: float
-    plants: int
-
-    @property
-    def mean(self) -> float:
-        """Mean of both directions."""
-        return (self.there + self.back) / 2
-
-
-@dataclass(frozen=True)
-class Curves:
-    """What the plot draws beside the numbers; positions are in metres, curves by name of the set."""
-
-    real_counts: Ints
-    model_counts: Ints
-    neighbour: dict[str, Floats]
-    pooled_l: dict[str, Floats]
-    envelope: tuple[Floats, Floats]
-    edge_m: dict[str, Floats]
-    building_m: dict[str, Floats]
-    guesses: Floats
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Everything that is found; a part is None where there was too little to compare."""
-
-    counts: CountScores
-    lots_compared: int
-    lots_eligible: int
-    lots_too_large: int
-    plants_compared: int
-    kept_of_real: float | None = None
-    kept_of_model: float | None = None
-    chamfer: list[ChamferRow] = field(default_factory=list)
-    neighbour: FlipTest | None = None
-    l_function: FlipTest | None = None
-    edge: FlipTest | None = None
-    building: FlipTest | None = None
-    classifier: ClassifierTest | None = None
-    score: Score | None = None
-    curves: Curves | None = field(default=None, repr=False)
-
-    def as_record(self) -> dict[str, object]:
-        """Return plain values for JSON, without the curves."""
-        record = asdict(self)
-        del record["curves"]
-        record["measured_at"] = {
-            "neighbour_quantiles": NEIGHBOUR_SHARES.tolist(),
-            "l_radii_m": RADII_M.tolist(),
-            "edge_and_building_quantiles": EDGE_SHARES.tolist(),
-        }
-        for row, plain in zip(self.chamfer, record["chamfer"], strict=True):
-            plain["mean"] = row.mean
-        return record
 
 
 def compare_plants(

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator
 from numpy.typing import NDArray
 
-from urbanforest_cli.evaluation.compare import EVEN, LATTICE, MODEL, RANDOM, REAL, Curves, Evaluation
 from urbanforest_cli.evaluation.edges import FARTHEST_BUILDING_M
 from urbanforest_cli.evaluation.point_patterns import NEIGHBOUR_SHARES, RADII_M
+from urbanforest_cli.evaluation.results import EVEN, LATTICE, MODEL, RANDOM, REAL, Curves, Evaluation
 
 LOOKS: dict[str, dict[str, Any]] = {
     REAL: {"color": "#1b1b1b", "linewidth": 2.2, "zorder": 6},

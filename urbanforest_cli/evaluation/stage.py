@@ -21,8 +21,9 @@ from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.publish import publish
 from urbanforest_cli.core.summary import StageSummary
-from urbanforest_cli.evaluation.compare import Evaluation, PlantsOfLots, compare_plants
+from urbanforest_cli.evaluation.compare import compare_plants
 from urbanforest_cli.evaluation.references import KERNELS
+from urbanforest_cli.evaluation.results import Evaluation, PlantsOfLots
 from urbanforest_cli.files.geopackage import read_layer
 from urbanforest_cli.files.provenance import require_record
 from urbanforest_cli.files.vectors import list_vector_layers, read_vector, split_source

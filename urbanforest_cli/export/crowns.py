@@ -82,9 +82,7 @@ def draw_crowns(pane: Pane, crowns: Crowns, *, z: float = 5.0, shadows: bool = T
 def _cast_crowns(pane: Pane, crowns: Crowns, alpha: float, z: float) -> None:
     moved = crowns.xy + (0.42 * crowns.radius_m)[:, None] * np.array([[0.8, -0.6]])
     black = Crowns(moved, crowns.radius_m, np.zeros((len(crowns), 3)), crowns.tall)
-    mask = painted_share(
-        pane, lambda copy: _draw_discs(copy, black, 1.0, rim=False, shaded=False, opacity=1.0)
-    )
+    mask = painted_share(pane, lambda copy: _draw_discs(copy, black, 1.0, rim=False, shaded=False, opacity=1.0))
     tint(pane, mask, blur_px=0.35 * pane.px_per_m, alpha=alpha, z=z)
 
 

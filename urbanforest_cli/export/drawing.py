@@ -178,7 +178,7 @@ def cast_shadows(pane: Pane, polygons: NDArray[np.object_], height_m: FloatArray
     """
     if len(polygons) == 0 or pane.px_per_m < 0.15:
         return
-    length = np.minimum(0.35 * height_m, 12.0)
+    length = np.minimum(0.3 * height_m, 8.0)
     swept = []
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         step = (share * length)[:, None] * np.array([[0.8, -0.6]])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from urbanforest_cli.core.colours import mixed
 from urbanforest_cli.export.crowns import Crowns, draw_crowns
 from urbanforest_cli.export.drawing import Bounds, Pane, cast_shadows, draw_roads, fill_polygons, make_pane
+from urbanforest_cli.export.map_layers import MapLayers, RegisterTables
 from urbanforest_cli.export.map_page import (
     BUILDING_EDGE,
     BUILDING_FILL,
@@ -27,7 +28,7 @@ from urbanforest_cli.export.map_page import (
     ROAD_FILL,
     SOFT_INK,
 )
-from urbanforest_cli.export.text import printable, round_length, shortened
+from urbanforest_cli.export.text import counted, printable, round_length, shortened
 
 LOTS_SHOWN = 12
 AREA_FILL = "#f3dc8c"
@@ -113,8 +114,53 @@ def typical_lots(frame: pd.DataFrame, count: int = LOTS_SHOWN) -> list[int]:
     return [pick[3] for pick in sorted(chosen)]
 
 
+def typical_pictures(layers: MapLayers, tables: RegisterTables, areas: pd.Series[Any]) -> list[LotPicture]:
+    """Return pictures of a register's typical lots.
+
+    Parameters
+    ----------
+    layers, tables
+        The same lots and plants, in the same order, as arrays and as tables.
+    areas
+        The ground of each lot that has any, by lot id.
+    """
+    crowns = layers.crowns()
+    plant_lot = tables.plants["lot_id"].to_numpy(dtype=object)
+    frame = tables.lots[["lot_id", "zone", "area_m2"]].merge(
+        tables.parameters[["lot_id", "strategy"]], how="left", on="lot_id"
+    )
+    frame["plants"] = frame["lot_id"].map(tables.plants["lot_id"].value_counts()).fillna(0).astype(int)
+    chosen = typical_lots(frame)
+    around = shapely.STRtree(layers.lots)
+    houses = shapely.STRtree(layers.buildings)
+    pictures = []
+    for number in chosen:
+        row, lot = frame.iloc[number], layers.lots[number]
+        view = shapely.box(*shapely.bounds(lot)).buffer(10.0)
+        near = houses.query(view, predicate="intersects")
+        beside = around.query(view, predicate="intersects")
+        pictures.append(
+            LotPicture(
+                title=f"{row['strategy']}, {row['zone']}",
+                note=f"{row['lot_id']}: {counted(int(row['plants']), 'plant')}, {row['area_m2']:,.0f} m\u00b2",
+                lots=layers.lots[[number]],
+                area=areas.get(row["lot_id"]),
+                colour=layers.zones[layers.lot_zone[number]].colour,
+                crowns=crowns.chosen(plant_lot == row["lot_id"]),
+                neighbours=layers.lots[beside[beside != number]],
+                buildings=layers.buildings[near],
+                building_height_m=layers.building_height_m[near],
+            )
+        )
+    return pictures
+
+
 def draw_lots(
-    pictures: Sequence[LotPicture], *, columns: int = 4, width_px: int = 2000, aspect: float = 1.0,
+    pictures: Sequence[LotPicture],
+    *,
+    columns: int = 4,
+    width_px: int = 2000,
+    aspect: float = 1.0,
     heading: tuple[str, str] | None = None,
 ) -> Figure:
     """Draw pictures side by side, each at its own scale with a scale bar.

@@ -1,4 +1,4 @@
-"""What a map shows, as arrays."""
+"""What a map and a report are made from: arrays and tables."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from urbanforest_cli.core.colours import to_rgb
@@ -62,3 +63,14 @@ class MapLayers:
         colours = np.array([to_rgb(item.colour) for item in self.species]).reshape(-1, 3)
         tall = np.array([item.tall for item in self.species], dtype=bool)
         return Crowns(self.plant_xy, self.plant_radius_m, colours[self.plant_species], tall[self.plant_species])
+
+
+@dataclass(frozen=True)
+class RegisterTables:
+    """The layers of a register without their geometry; frames of no rows where a stage wrote nothing."""
+
+    lots: pd.DataFrame
+    parameters: pd.DataFrame
+    plants: pd.DataFrame
+    placements: pd.DataFrame
+    skipped: pd.DataFrame

@@ -148,14 +148,26 @@ class Legend:
         order = [n for n in np.argsort(-self.seen.lots, kind="stable") if self.seen.lots[n] > 0]
         for number in order[:rows]:
             zone = self.layers.zones[number]
-            box = Rectangle((left, y - 14 * unit), 42 * unit, 28 * unit, facecolor=zone.colour,
-                            edgecolor=mixed(zone.colour, "#6f6a60", 0.45), linewidth=self.pane.points(1.5 * unit))
+            box = Rectangle(
+                (left, y - 14 * unit),
+                42 * unit,
+                28 * unit,
+                facecolor=zone.colour,
+                edgecolor=mixed(zone.colour, "#6f6a60", 0.45),
+                linewidth=self.pane.points(1.5 * unit),
+            )
             self.page.canvas.add_patch(box)
             self._row(left + 62 * unit, left + width, y, zone.name, int(self.seen.lots[number]))
             y += self.row
         if self.seen.building_count:
-            box = Rectangle((left, y - 14 * unit), 42 * unit, 28 * unit, facecolor=BUILDING_FILL,
-                            edgecolor=BUILDING_EDGE, linewidth=self.pane.points(1.5 * unit))
+            box = Rectangle(
+                (left, y - 14 * unit),
+                42 * unit,
+                28 * unit,
+                facecolor=BUILDING_FILL,
+                edgecolor=BUILDING_EDGE,
+                linewidth=self.pane.points(1.5 * unit),
+            )
             self.page.canvas.add_patch(box)
             self._row(left + 62 * unit, left + width, y, "buildings", self.seen.building_count)
             y += self.row
@@ -202,8 +214,14 @@ class Legend:
         length = length_m * scale
         x = left + width - length if right else left
         for number in range(4):
-            part = Rectangle((x + number * length / 4, y), length / 4, 12 * unit, edgecolor=INK,
-                             facecolor=INK if number % 2 == 0 else PAPER, linewidth=self.pane.points(1.4 * unit))
+            part = Rectangle(
+                (x + number * length / 4, y),
+                length / 4,
+                12 * unit,
+                edgecolor=INK,
+                facecolor=INK if number % 2 == 0 else PAPER,
+                linewidth=self.pane.points(1.4 * unit),
+            )
             self.page.canvas.add_patch(part)
         for share in (0.0, 0.5, 1.0):
             text = length_text(share * length_m, unit_of=length_m)

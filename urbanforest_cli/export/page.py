@@ -28,7 +28,8 @@ img { display: block; width: 100%; height: auto; border: 0; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
 th { text-align: left; font-weight: 600; color: var(--soft); font-size: 12.5px; border-bottom: 1px solid var(--ink);
   padding: 4px 14px 6px 0; vertical-align: bottom; }
-td { border-bottom: 1px solid var(--line); padding: 7px 14px 7px 0; vertical-align: top; overflow-wrap: anywhere; }
+td { border-bottom: 1px solid var(--line); padding: 7px 14px 7px 0; vertical-align: top; overflow-wrap: anywhere;
+  min-width: 4.8em; }
 th.n, td.n { text-align: right; white-space: nowrap; }
 th:last-child, td:last-child { padding-right: 0; }
 td small, .soft { color: var(--soft); }
@@ -80,8 +81,8 @@ def render_html(record: Row, images: Mapping[str, bytes]) -> str:
         _section("Lots without plants", _table(record["skipped"], SKIPPED_COLUMNS, none="Every lot was planted.")),
         _section("Warnings", _table(record["warnings"], WARNING_COLUMNS, none="None.")),
         _section("Stages", _table(record["stages"], STAGE_COLUMNS)),
-        _section("Inputs", _table(record["provenance"].get("inputs") or [], FILE_COLUMNS, none="None.")),
-        _section("Outputs", _table(record.get("outputs") or [], FILE_COLUMNS, none="None.")),
+        _section("Inputs", _table(record["provenance"].get("inputs") or [], INPUT_COLUMNS, none="None.")),
+        _section("Outputs", _table(record.get("outputs") or [], OUTPUT_COLUMNS, none="None.")),
         _section("Config", _config(record["config"])),
     ]
     provenance = json.dumps(record["provenance"], ensure_ascii=True, allow_nan=False).replace("<", "\\u003c")
@@ -227,7 +228,7 @@ STRATEGY_COLUMNS: list[Column] = [
     ("Mean radius got, m", _number("radius_realised_m", 2), True),
 ]
 SKIPPED_COLUMNS: list[Column] = [
-    ("Reason", lambda row: f"{escape(row['reason'])}<br><small>{escape(row['meaning'])}</small>", False),
+    ("Reason", lambda row: f"{_words(row['reason'])}<br><small>{escape(row['meaning'])}</small>", False),
     ("Stage", _text("stage"), False),
     ("Lots", _count("lots"), True),
     ("Examples", lambda row: "<br>".join(_example(item) for item in row["examples"]), False),
@@ -242,17 +243,23 @@ WARNING_COLUMNS: list[Column] = [
 STAGE_COLUMNS: list[Column] = [
     ("Stage", _text("stage"), False),
     ("Seconds", lambda row: "kept" if row.get("up_to_date") else _decimal(row.get("seconds"), 1), True),
-    ("Counts", lambda row: escape(", ".join(f"{k} {_value(v)}" for k, v in (row.get("counts") or {}).items())), False),
+    ("Counts", lambda row: ", ".join(f"{_words(k)} {_value(v)}" for k, v in (row.get("counts") or {}).items()), False),
 ]
-FILE_COLUMNS: list[Column] = [
+INPUT_COLUMNS: list[Column] = [
     ("File", _text("name"), False),
-    ("Bytes", _count("bytes"), True),
     ("SHA-256", lambda row: f"<code>{escape(str(row.get('sha256', '')))}</code>", False),
 ]
+OUTPUT_COLUMNS: list[Column] = [INPUT_COLUMNS[0], ("Bytes", _count("bytes"), True), INPUT_COLUMNS[1]]
+
+
+def _words(code: str) -> str:
+    return escape(code.replace("_", " "))
 
 
 def _value(value: Any) -> str:
-    return f"{value:,}" if isinstance(value, int) else f"{value:.4g}" if isinstance(value, float) else str(value)
+    if isinstance(value, int) or (isinstance(value, float) and abs(value) >= 1000):
+        return f"{value:,.0f}"
+    return f"{value:.4g}" if isinstance(value, float) else escape(str(value))
 
 
 def _example(item: Row) -> str:

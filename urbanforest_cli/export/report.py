@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,23 +10,12 @@ import pandas as pd
 
 from urbanforest_cli.core.colours import zone_colour
 from urbanforest_cli.core.schema import SKIP_REASONS
-from urbanforest_cli.export.map_layers import SpeciesStyle
+from urbanforest_cli.export.map_layers import RegisterTables, SpeciesStyle
 
 SQUARE_METRES_A_HECTARE = 10_000.0
 EXAMPLES_SHOWN = 5
 
 Row = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class RegisterTables:
-    """The layers of a register without their geometry; frames of no rows where a stage wrote nothing."""
-
-    lots: pd.DataFrame
-    parameters: pd.DataFrame
-    plants: pd.DataFrame
-    placements: pd.DataFrame
-    skipped: pd.DataFrame
 
 
 def build_report(

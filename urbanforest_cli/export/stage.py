@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import time
@@ -17,7 +16,6 @@ import pandas as pd
 import shapely
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from PIL import Image
 from pyproj import CRS
 
 from urbanforest_cli import __version__
@@ -30,12 +28,13 @@ from urbanforest_cli.core.publish import publish, sha256_of, write_text
 from urbanforest_cli.core.schema import LAYERS
 from urbanforest_cli.core.summary import StageSummary
 from urbanforest_cli.export.drawing import Bounds
-from urbanforest_cli.export.lot_pictures import LotPicture, draw_lots, typical_lots
-from urbanforest_cli.export.map_layers import MapLayers, SpeciesStyle, ZoneStyle
+from urbanforest_cli.export.lot_pictures import draw_lots, typical_pictures
+from urbanforest_cli.export.map_layers import MapLayers, RegisterTables, SpeciesStyle, ZoneStyle
 from urbanforest_cli.export.map_picture import draw_map
 from urbanforest_cli.export.page import render_html
-from urbanforest_cli.export.report import RegisterTables, build_report
-from urbanforest_cli.export.text import boxes_for_unknown_letters, counted, place_name
+from urbanforest_cli.export.png import for_page, png_of
+from urbanforest_cli.export.report import build_report
+from urbanforest_cli.export.text import boxes_for_unknown_letters, place_name
 from urbanforest_cli.files.geojson import write_points
 from urbanforest_cli.files.geopackage import layer_names, read_layer
 from urbanforest_cli.files.provenance import read_records, require_record, stage_key
@@ -45,8 +44,7 @@ from urbanforest_cli.files.vectors import list_vector_layers, read_vector
 GEOJSON, MAP, PAGE, REPORT = "plants.geojson", "map.png", "report.html", "report.json"
 OUTPUTS = (GEOJSON, MAP, PAGE, REPORT)
 WGS84 = CRS.from_epsg(4326)
-PAGE_MAP_PX = 1800
-PAGE_COLOURS = 256
+LOTS_PX = 2000
 STEPS = len(OUTPUTS)
 BUILDINGS, ROADS = "buildings", "roads"
 UNKNOWN_HEIGHT_M = 6.0
@@ -109,16 +107,17 @@ def export_outputs(
     provenance = _provenance(register, planted, key)
     _write_geojson(out / GEOJSON, planted, provenance)
     progress("export", 1, STEPS)
-    map_png = _png(_map(planted, provenance, config, bbox), provenance)
+    map_png = png_of(_map(planted, provenance, config, bbox), provenance)
     _write_bytes(out / MAP, map_png)
     progress("export", 2, STEPS)
     report = _report(register, planted, provenance, config, summaries)
     report["export_key"] = key
     report["outputs"] = [_output(register), *(_output(out / name) for name in (GEOJSON, MAP))]
-    images = {"map": _for_page(map_png)}
-    pictures = _lot_pictures(planted)
+    images = {"map": for_page(map_png)}
+    pictures = typical_pictures(planted.layers, planted.tables, planted.areas)
     if pictures:
-        images["lots"] = _fewer_colours(Image.open(io.BytesIO(_png(draw_lots(pictures), {}))))
+        lots_width_px = min(LOTS_PX, config.export.map_width_px)
+        images["lots"] = for_page(png_of(draw_lots(pictures, width_px=lots_width_px)))
     write_text(out / PAGE, render_html(report, images))
     progress("export", 3, STEPS)
     report["outputs"].append(_output(out / PAGE))
@@ -280,35 +279,9 @@ def _notes(planted: _Planted, provenance: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _png(figure: Figure, provenance: Mapping[str, Any]) -> bytes:
-    stream = io.BytesIO()
-    metadata = {"Software": f"urbanforest {__version__}"}
-    if provenance:
-        metadata["urbanforest"] = json.dumps(provenance, ensure_ascii=True)
-    with boxes_for_unknown_letters():
-        figure.savefig(stream, format="png", dpi=figure.dpi, metadata=metadata)
-    return stream.getvalue()
-
-
 def _write_bytes(path: Path, content: bytes) -> None:
     with publish(path) as part:
         part.write_bytes(content)
-
-
-def _for_page(png: bytes) -> bytes:
-    """Return a picture small enough for the page: narrower, and of few colours."""
-    picture: Image.Image = Image.open(io.BytesIO(png))
-    if picture.width > PAGE_MAP_PX:
-        size = (PAGE_MAP_PX, round(picture.height * PAGE_MAP_PX / picture.width))
-        picture = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-    return _fewer_colours(picture)
-
-
-def _fewer_colours(picture: Image.Image) -> bytes:
-    stream = io.BytesIO()
-    reduced = picture.convert("RGB").quantize(PAGE_COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    reduced.save(stream, format="PNG", optimize=True)
-    return stream.getvalue()
 
 
 def _report(
@@ -340,36 +313,3 @@ def _report(
 
 def _output(path: Path) -> dict[str, Any]:
     return {"name": path.name, "sha256": sha256_of(path), "bytes": path.stat().st_size}
-
-
-def _lot_pictures(planted: _Planted) -> list[LotPicture]:
-    layers, tables = planted.layers, planted.tables
-    crowns = layers.crowns()
-    plant_lot = tables.plants["lot_id"].to_numpy(dtype=object)
-    frame = tables.lots[["lot_id", "zone", "area_m2"]].merge(
-        tables.parameters[["lot_id", "strategy"]], how="left", on="lot_id"
-    )
-    frame["plants"] = frame["lot_id"].map(tables.plants["lot_id"].value_counts()).fillna(0).astype(int)
-    chosen = typical_lots(frame)
-    around = shapely.STRtree(layers.lots)
-    houses = shapely.STRtree(layers.buildings)
-    pictures = []
-    for number in chosen:
-        row, lot = frame.iloc[number], layers.lots[number]
-        view = shapely.box(*shapely.bounds(lot)).buffer(10.0)
-        near = houses.query(view, predicate="intersects")
-        beside = around.query(view, predicate="intersects")
-        pictures.append(
-            LotPicture(
-                title=f"{row['strategy']}, {row['zone']}",
-                note=f"{row['lot_id']}: {counted(int(row['plants']), 'plant')}, {row['area_m2']:,.0f} m\u00b2",
-                lots=layers.lots[[number]],
-                area=planted.areas.get(row["lot_id"]),
-                colour=layers.zones[layers.lot_zone[number]].colour,
-                crowns=crowns.chosen(plant_lot == row["lot_id"]),
-                neighbours=layers.lots[beside[beside != number]],
-                buildings=layers.buildings[near],
-                building_height_m=layers.building_height_m[near],
-            )
-        )
-    return pictures

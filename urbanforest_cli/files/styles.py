@@ -59,19 +59,19 @@ def write_styles(path: Path, layers: list[str]) -> None:
     that made the layers, which the file itself holds.
     """
     with closing(sqlite3.connect(path)) as register:
-        wanted = [name for name in layers if name in _STYLES and _has_layer(register, name)]
+        wanted = [name for name in layers if name in _STYLES and _can_be_styled(register, name)]
         if not wanted:
             return
         config = _config_inside(register)
         with register:
             _make_table(register)
             for name in wanted:
-                _replace_style(register, name, _STYLES[name](register, config))
+                _replace_style(register, name, _STYLES[name][1](register, config))
 
 
-def _has_layer(register: sqlite3.Connection, name: str) -> bool:
-    query = "SELECT count(*) FROM gpkg_geometry_columns WHERE table_name = ? AND column_name = ?"
-    return bool(register.execute(query, (name, GEOMETRY_COLUMN)).fetchone()[0])
+def _can_be_styled(register: sqlite3.Connection, name: str) -> bool:
+    columns = {row[0] for row in register.execute("SELECT name FROM pragma_table_info(?)", (name,))}
+    return {_STYLES[name][0], GEOMETRY_COLUMN} <= columns
 
 
 def _make_table(register: sqlite3.Connection) -> None:
@@ -164,11 +164,12 @@ def _plants_style(register: sqlite3.Connection, config: Mapping[str, Any]) -> st
     return _qml("species", categories, _crown_symbol, rest=("#6f8f5f", "any other species"))
 
 
-_STYLES: dict[str, Callable[[sqlite3.Connection, Mapping[str, Any]], str]] = {
-    "lots": _lots_style,
-    "active_areas": _active_areas_style,
-    "plants": _plants_style,
+_STYLES: dict[str, tuple[str, Callable[[sqlite3.Connection, Mapping[str, Any]], str]]] = {
+    "lots": ("zone", _lots_style),
+    "active_areas": ("kind", _active_areas_style),
+    "plants": ("species", _plants_style),
 }
+"""For each layer the column its colours go by, and what makes its style."""
 
 
 def _qml(

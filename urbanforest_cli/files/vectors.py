@@ -47,6 +47,7 @@ __all__ = ["list_vector_layers", "read_vector", "split_source"]
 
 POLYGON, LINE, POINT = "polygon", "line", "point"
 EXPANDED_LIMIT_BYTES = 8 * 2**30
+GML_LIMIT_BYTES = 2 * 2**30
 
 # Everything pyogrio, pyarrow, shapely and sqlite3 raise for a file they cannot read. OSError holds ArrowIOError,
 # ValueError holds ArrowInvalid and UnicodeDecodeError, RuntimeError holds pyogrio's own.
@@ -54,7 +55,6 @@ _READER_ERRORS = (
     RuntimeError, ValueError, OSError, NotImplementedError, KeyError, IndexError, TypeError, OverflowError, MemoryError,
     pa.ArrowException, shapely.errors.ShapelyError, sqlite3.Error,
 )  # fmt: skip
-_OPEN_OPTIONS: dict[str, dict[str, str]] = {GML.name: {"WRITE_GFS": "NO", "DOWNLOAD_SCHEMA": "NO"}}
 _FLAT_TYPES = {"POLYGON": POLYGON, "CURVEPOLYGON": POLYGON, "SURFACE": POLYGON, "TIN": POLYGON, "TRIANGLE": POLYGON,
                "POLYHEDRALSURFACE": POLYGON, "LINESTRING": LINE, "CURVE": LINE, "CIRCULARSTRING": LINE,
                "COMPOUNDCURVE": LINE, "LINEARRING": LINE, "POINT": POINT}  # fmt: skip
@@ -76,7 +76,9 @@ def list_vector_layers(path: str | Path) -> list[tuple[str, str | None]]:
         return [(path.stem, "Unknown")]
     with _reader_errors(path, form):
         _check_database(path, form)
-        return [(str(name), None if kind is None else str(kind)) for name, kind in pyogrio.list_layers(path)]
+        return [
+            (str(name), None if kind is None else str(kind)) for name, kind in pyogrio.list_layers(_source(path, form))
+        ]
 
 
 def read_vector(
@@ -175,10 +177,24 @@ def _connect(path: Path) -> sqlite3.Connection:
     return database
 
 
+def _source(path: Path, form: VectorFormat) -> Path | bytes:
+    """Return what GDAL is given. GML is handed over as bytes, since GDAL writes its guess of the schema beside it."""
+    if form is not GML:
+        return path
+    if path.stat().st_size > GML_LIMIT_BYTES:
+        raise LimitError(
+            "the file is too long for GML",
+            where=path,
+            expected=f"at most {GML_LIMIT_BYTES / 2**30:.0f} GiB",
+            next_step="convert it to GeoPackage: ogr2ogr OUT.gpkg IN.gml",
+        )
+    return path.read_bytes()
+
+
 def _choose_layer(path: Path, form: VectorFormat, layer: str | None, kinds: Collection[str], where: str) -> str:
     layers = [
         (str(name), None if kind is None else str(kind))
-        for name, kind in pyogrio.list_layers(path)
+        for name, kind in pyogrio.list_layers(_source(path, form))
         if str(name) not in _SPATIALITE_TABLES
     ]
     spatial = [(name, kind) for name, kind in layers if kind is not None]
@@ -217,8 +233,10 @@ def _read_with_gdal(
     path: Path, form: VectorFormat, layer: str, columns: Sequence[str] | None, where: str, notices: Notices
 ) -> tuple[pd.DataFrame, CRS | None]:
     # Rows come through Arrow: the other way reads no further than the count a GeoPackage remembers.
-    options = _OPEN_OPTIONS.get(form.name, {})
-    meta, table = pyogrio.raw.read_arrow(path, layer=layer, columns=_list(columns), return_fids=True, **options)
+    options = {"DOWNLOAD_SCHEMA": "NO"} if form is GML else {}
+    meta, table = pyogrio.raw.read_arrow(
+        _source(path, form), layer=layer, columns=_list(columns), return_fids=True, **options
+    )
     names = table.column_names
     shape_place = names.index(meta["geometry_name"] or "wkb_geometry")
     # The row numbers come first; GeoJSON gives them the name of its property "id".
@@ -226,7 +244,7 @@ def _read_with_gdal(
     pieces = table.column(shape_place).to_numpy(zero_copy_only=False)
     frame = _attributes(table.select([i for i in range(1, len(names)) if i != shape_place]), where, notices)
     frame.index = pd.Index(fids, name="fid")
-    pieces = _straightened(path, layer, pieces, fids, where, notices)
+    pieces = _straightened(path, form, layer, pieces, fids, where, notices)
     frame["geometry"] = _build(pieces, fids, where, notices, path if form is SHAPEFILE else None)
     if form is GEOPACKAGE:
         _check_row_count(path, layer, len(frame), where, notices)
@@ -275,14 +293,20 @@ def _texts(column: pa.ChunkedArray, name: str, where: str, notices: Notices) -> 
 
 
 def _straightened(
-    path: Path, layer: str, pieces: NDArray[Any], fids: NDArray[np.int64], where: str, notices: Notices
+    path: Path,
+    form: VectorFormat,
+    layer: str,
+    pieces: NDArray[Any],
+    fids: NDArray[np.int64],
+    where: str,
+    notices: Notices,
 ) -> NDArray[Any]:
     """Replace curves by their chords; GDAL's steps of 4 degrees keep within 0.06 % of a radius."""
     curved = np.array([piece is not None and _wkb_type(piece) in _CURVED_WKB for piece in pieces], dtype=bool)
     if not curved.any():
         return pieces
     _, chord_fids, chords, _ = pyogrio.raw.read(
-        path, layer=layer, columns=[], force_2d=True, return_fids=True, fids=fids[curved]
+        _source(path, form), layer=layer, columns=[], force_2d=True, return_fids=True, fids=fids[curved]
     )
     by_fid = dict(zip(chord_fids.tolist(), chords, strict=True))
     pieces = pieces.copy()

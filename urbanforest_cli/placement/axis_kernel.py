@@ -32,6 +32,7 @@ from urbanforest_cli.placement.delaunay import (
 FOUND, TOO_THIN, FAILED = 0, 1, 2
 
 SAME_POINT_M = 1e-6
+SPIKE_M = 1e-5
 MIN_WIDTH_M = 0.02
 MIN_SAMPLE_STEP_M = 0.01
 MAX_SAMPLES = 500_000
@@ -145,8 +146,8 @@ def _corners(xy, ring_offsets, r0, r1):
     for i in range(first, last):
         west = min(west, xy[i, 0])
         south = min(south, xy[i, 1])
-    x = np.empty(last - first)
-    y = np.empty(last - first)
+    x = np.empty(last - first + 1)
+    y = np.empty(last - first + 1)
     offsets = np.zeros(r1 - r0 + 1, dtype=np.int64)
     count = 0
     rings = 0
@@ -162,13 +163,17 @@ def _corners(xy, ring_offsets, r0, r1):
         for j in range(b - a - 1):
             i = b - 1 - j if backward else a + j
             px, py = snapped(xy[i, 0] - west), snapped(xy[i, 1] - south)
-            if count > begin and math.hypot(px - x[count - 1], py - y[count - 1]) < SAME_POINT_M:
-                continue
+            count = _without_last(x, y, begin, count, px, py)
             x[count] = px
             y[count] = py
             count += 1
-        while count > begin + 1 and math.hypot(x[begin] - x[count - 1], y[begin] - y[count - 1]) < SAME_POINT_M:
+        count = _without_last(x, y, begin, count, x[begin], y[begin])
+        while count - begin > 2 and _is_idle(x, y, count - 1, begin, begin + 1):
+            # the ring was begun at the tip of a spike
             count -= 1
+            x[begin] = x[count]
+            y[begin] = y[count]
+            count = _without_last(x, y, begin, count, x[begin], y[begin])
         if count - begin < 3:
             count = begin
             if ring == r0:
@@ -181,6 +186,32 @@ def _corners(xy, ring_offsets, r0, r1):
         rings += 1
         offsets[rings] = count
     return x[:count], y[:count], offsets[: rings + 1], west, south, total, perimeter
+
+
+@njit(cache=True, nogil=True)
+def _without_last(x, y, begin, count, px, py):
+    """Drop corners from the end of a ring while, with the next one known, they add nothing to it."""
+    x[count] = px
+    y[count] = py
+    while count > begin:
+        if math.hypot(px - x[count - 1], py - y[count - 1]) >= SAME_POINT_M and (
+            count - 1 == begin or not _is_idle(x, y, count - 2, count - 1, count)
+        ):
+            break
+        count -= 1
+        x[count] = px
+        y[count] = py
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _is_idle(x, y, a, b, c):
+    """Tell whether corner b is the tip of a spike without width between its neighbours a and c."""
+    ux, uy, vx, vy = x[b] - x[a], y[b] - y[a], x[c] - x[b], y[c] - y[b]
+    if ux * vx + uy * vy >= 0.0:
+        return False
+    longer = max(math.hypot(ux, uy), math.hypot(vx, vy))
+    return abs(ux * vy - uy * vx) < SPIKE_M * longer
 
 
 @njit(cache=True, nogil=True)
@@ -279,26 +310,21 @@ def _triangulated(x, y, sampled, first, second, ea, eb, es, edge_count, ring_sta
         ea[e] = same[ea[e]]
         eb[e] = same[eb[e]]
     vertices = sampled
-    at_boundary = np.zeros(6 * room, dtype=np.bool_)
     for _ in range(REFINE_ROUNDS):
         split = 0
         missing = 0
         for e in range(edge_count):
             edge_at[e] = find_half_edge(ea[e], eb[e], origin, twin, start)
-            if edge_at[e] >= 0:
-                at_boundary[edge_at[e]] = True
         before = edge_count
         for e in range(before):
             u, w, h = ea[e], eb[e], edge_at[e]
             wanted = h < 0
             if not wanted:
-                n, p = following(h), previous(h)
-                apex = origin[p]
+                apex = origin[previous(h)]
                 if apex == ghost:
                     return FAILED, vertices, edge_count, 0, origin, twin, edge_at
-                if not (at_boundary[n] or at_boundary[p]):
-                    toward = (x[u] - x[apex]) * (x[w] - x[apex]) + (y[u] - y[apex]) * (y[w] - y[apex])
-                    wanted = toward < 0.0
+                toward = (x[u] - x[apex]) * (x[w] - x[apex]) + (y[u] - y[apex]) * (y[w] - y[apex])
+                wanted = toward < 0.0
             else:
                 missing += 1
             if not wanted or vertices >= ghost:
@@ -327,9 +353,6 @@ def _triangulated(x, y, sampled, first, second, ea, eb, es, edge_count, ring_sta
         if split == 0:
             state = FOUND if missing == 0 else FAILED
             return state, vertices, edge_count, count, origin, twin, edge_at
-        for e in range(before):
-            if edge_at[e] >= 0:
-                at_boundary[edge_at[e]] = False
         for e in range(before, edge_count):
             m = ea[e]
             count, near = _insert(x, y, m, eb[e], ghost, origin, twin, start, count, stack, same)
@@ -444,10 +467,15 @@ def _centre(x, y, origin, edge, bounded, segment, first, second, cx, cy, other, 
     b2, d2 = bx * bx + by * by, dx * dx + dy * dy
     ox, oy = (dy * b2 - by * d2) / twice, (bx * d2 - dx * b2) / twice
     radius = math.sqrt(ox * ox + oy * oy)
-    reach = 0.25 * radius
     ox, oy = ox + x[a], oy + y[a]
-    if not (0.0 <= ox <= east and 0.0 <= oy <= north):
+    if bounded == 1 and (bx - dx) * -dx + (by - dy) * -dy < 0.0:
+        # too narrow to be sampled finely enough: half way from the third sample to the edge opposite
+        ux, uy = _to_edge(x[c], y[c], segment[edge], cx, cy, other)
+        ox, oy = x[c] - ux / 2, y[c] - uy / 2
+        radius = math.hypot(ux, uy) / 2
+    elif not (0.0 <= ox <= east and 0.0 <= oy <= north):
         ox, oy = (x[a] + x[b] + x[c]) / 3, (y[a] + y[b] + y[c]) / 3
+    reach = 0.25 * radius
     if bounded == 3:
         return ox, oy, radius
     px, py = ox, oy
@@ -601,7 +629,7 @@ def _chains(nx, ny, nr, links, alive):
         if halves >= 2 * size:
             _cut_loops(visit[:size], nx, ny, links, alive)
         size = _walk(lowest, 2, nx, ny, links, alive, parent, dist, visit, reached)
-        root = _farthest(visit, size, nx, ny, dist)
+        root = _farthest_end(visit, size, nx, ny, links, alive, dist)
         size = _walk(root, 3, nx, ny, links, alive, parent, dist, visit, reached)
         heads = 1
         for v in range(size - 1, -1, -1):
@@ -690,15 +718,17 @@ def _walk(root, turn, nx, ny, links, alive, parent, dist, visit, reached):
 
 
 @njit(cache=True, nogil=True)
-def _farthest(visit, size, nx, ny, dist):
-    """Return the farthest of the nodes visited; of those equally far the first along the generic direction."""
+def _farthest_end(visit, size, nx, ny, links, alive, dist):
+    """Return the farthest end among the nodes visited; of those equally far the first along the generic direction."""
     far = 0.0
     for v in range(size):
         far = max(far, dist[visit[v]])
     found = -1
     for v in range(size):
         i = visit[v]
-        if dist[i] >= far - SAME_LENGTH_M and (found < 0 or _order(nx[i], ny[i]) < _order(nx[found], ny[found])):
+        if dist[i] < far - SAME_LENGTH_M or _degree(i, links, alive) > 1:
+            continue
+        if found < 0 or _order(nx[i], ny[i]) < _order(nx[found], ny[found]):
             found = i
     return found
 

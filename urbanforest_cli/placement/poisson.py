@@ -14,8 +14,9 @@ from urbanforest_cli.placement.polygons import EdgeTable, edge_table
 from urbanforest_cli.placement.radius_law import RadiusLaw, fit_radius_law
 
 JAMMED = 0.547  # share of the plane that equal discs cover at random sequential saturation
+EDGE_GAIN = 0.8  # mean radii by which ground grows at its edge, in plants; measured on squares of 5 to 400 m
 REFUSED_EARLY = 1.5  # times the plants allowed, by a rough count, over which an area is not even begun
-ORDER_AT_ONE_RADIUS, ORDER_PER_SPREAD = 0.2, 7.3  # parameter of the copula below, by sd / mean
+ORDER_AT_ONE_RADIUS, ORDER_PER_SPREAD = 0.5, 7.4  # parameter of the copula below, by sd / mean
 
 
 class SampleState(IntEnum):
@@ -86,19 +87,27 @@ def sample_saturated(
     d = |r - mean| first and its sign last:
 
     1. A spread is drawn from the half normal law of |r - mean|, wide ones early and narrow ones late: the rank of d
-       and the moment t of the filling, from 0 to 1, are joined by Frank's copula, which leaves the law of d over the
-       whole filling as it is. Its parameter is 0.2 + 7.3 sd / mean (0 would be no order); t is 1 - a^(1/3) with a the
-       share of ground still open, after the asymptotic law of random sequential adsorption (Feder 1980), moved
-       on by half a step.
+       and the moment t of the filling are joined by Frank's copula (Nelsen 2006) with parameter
+       -(0.5 + 7.4 sd / mean), 0 being no order. t runs from 0 to 1: it is the share of the ground that has been
+       found closed, moved on by half a step. The parameter is the one with which variances came out right on large
+       lots. Ranks advance by the golden section from a random start, so that few plants show the whole law.
     2. A place is sought, uniform among those of clearance >= mean + d. A coin decides between mean + d, which is
        placed there, and mean - d, which is placed uniformly among all places of clearance >= mean.
-    3. If no place is found in 16 looks, one with clearance c >= mean is chosen uniformly, d is drawn on condition
-       that it is at most c - mean, and the coin decides what is placed there.
+    3. If no place is found in about 16 looks, one with clearance c >= mean is chosen uniformly, d is drawn on
+       condition that it is at most c - mean, and the coin decides what is placed there.
 
-    At every step the expected radius is the mean, whatever has happened, so radii are unbiased for any area and any
-    number of plants; the order makes up for the narrow spreads of the end. A small plant is never set where a mean
-    one would not fit, so density stays that of equal discs less the room that large ones take. Measured, mean 3.13:
-    see `benchmarks/bench_poisson.py`.
+    The coin is fair but for a slight lean against the surplus of radii so far, which is remembered over 32 plants in
+    a lot of 250 or more and less in smaller ones. So the expected radius is the mean at every step, whatever has
+    happened, and radii are unbiased for any area and any number of plants; the order makes up for the narrow spreads
+    of the end. A small plant is never set where a mean one would not fit, so there are nearly as many plants as with
+    equal discs.
+
+    Measured with mean 3.13 and variances .35, 1, 2. Lots of 200 m (700 plants), 80 each: errors of the mean .0 %,
+    .0 %, .0 % with standard deviations .1, .2, .3 % between lots, of the variance +1, +3, 0 % with deviations of 2 to
+    3 %. Lots of 8 m (2.7 plants), 20,000 together: mean within .1 %, variance -14 %; of 20 m (10 plants), 8,000
+    together: .1 %, +2 to +4 %; 2,196 lots of a real city together: mean within .5 %, variance within 3 %. There are
+    2 %, 6 %, 10 % fewer plants than equal discs of the mean. The law's shape is a little more peaked than asked for:
+    Kolmogorov distances of .06, .08, .11.
 
     With stop "max" the law is plain: all radii are drawn independently. With "min", gaps under the mean are filled
     by the law below after the filling above is complete; small plants prevail there by nature.
@@ -153,7 +162,7 @@ def sample_saturated(
 def _plants_expected(table: EdgeTable, law: RadiusLaw) -> NDArray[np.float64]:
     """Guess the plants of each area from the ground that their discs reach, which is wider than the area itself."""
     disc = np.pi * law.mean_m**2
-    reached = table.area_m2 + law.mean_m * table.perimeter_m + disc
+    reached = table.area_m2 + EDGE_GAIN * law.mean_m * table.perimeter_m
     bounds = (table.size + 2 * law.mean_m[:, None]).prod(axis=1)
     return np.asarray(np.maximum(JAMMED * np.minimum(reached, bounds) / disc, 1.0))
 

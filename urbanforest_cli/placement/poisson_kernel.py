@@ -496,7 +496,7 @@ def _fill_kept(ground, discs, count, law, size, stream, most):
         if wanted < 0.0:
             wanted, searching, nearby, refusals = stop, False, False, 0.0
             if by_spread:
-                late = 1.0 - (ends[-1] * side * side / area_at_start) ** (1.0 / 3.0)
+                late = 1.0 - ends[-1] * side * side / area_at_start
                 late += 0.5 / size * (1.0 - late)
                 turn = (turn + GOLDEN_TURN) % 1.0
                 spread = _spread_at(_spread_quantile(turn, late, law.order), law)

@@ -181,7 +181,7 @@ def plantable_areas(
     def work(job: tuple[_Keeper, NDArray[np.int64]]) -> tuple[NDArray[np.int64], Shapes, NDArray[np.int64]]:
         keeper, rows = job
         left = keeper.leave(lots[rows], taken.within(rows))
-        return (rows, *drop_small(left, keeper.rules.min_area_m2))
+        return rows, left.areas, left.dropped_parts
 
     with ThreadPoolExecutor(workers) as pool:
         for rows, left, count in pool.map(work, jobs) if workers > 1 else map(work, jobs):
@@ -225,58 +225,72 @@ class _Keeper:
         )
         self.wide_tree = shapely.STRtree(self.wide)
 
-    def leave(self, lots: Shapes, taken: Taken) -> Shapes:
+    def leave(self, lots: Shapes, taken: Taken) -> Ground:
         """Return what these rules leave of some lots."""
-        left = self._less_near(lots)
-        row, thing = self.wide_tree.query(left, predicate="intersects")
+        ground = self._less_near(lots)
+        row, thing = self.wide_tree.query(ground.areas, predicate="intersects")
         order = np.lexsort((thing, row))
-        owner = np.concatenate((row[order], taken.lots))
-        return subtract(left, owner, np.concatenate((self.wide[thing[order]], taken.shapes)))
+        row, thing = row[order], thing[order]
+        there = ~shapely.is_missing(ground.areas[taken.lots])
+        more = np.union1d(row, taken.lots[there])
+        owner = np.searchsorted(more, np.concatenate((row, taken.lots[there])))
+        left = subtract(ground.areas[more], owner, np.concatenate((self.wide[thing], taken.shapes[there])))
+        ground.areas[more], dropped = drop_small(left, self.rules.min_area_m2)
+        ground.dropped_parts[more] += dropped
+        return ground
 
-    def _less_near(self, lots: Shapes) -> Shapes:
+    def _less_near(self, lots: Shapes) -> Ground:
         pairs = []
         first = 0
         for near in self.near:
-            only_own = near is self.near[0] and not self.rules.neighbour_buildings
-            row, thing = near.pairs(lots, only_own=only_own)
+            row, thing = near.pairs(lots, only_own=self._only_own(near))
             pairs.append((row, thing + first))
             first += len(near.things)
         row, thing = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
         order = np.lexsort((thing, row))
-        row, thing = row[order], thing[order]
-        left = np.array(lots, dtype=object)
-        some, place = np.unique(row, return_inverse=True)
-        if not len(some):
-            return left
-        left[some], done = _exactly(lots[some], self.things, self.clearance_m, place, thing)
-        undone = some[~done]
-        left[undone] = lots[undone]
+        some, place = np.unique(row[order], return_inverse=True)
+        areas: Shapes = np.array(lots, dtype=object)
+        dropped = np.zeros(len(lots), dtype=np.int64)
+        parts, owner, done = _exactly(lots[some], self.things, self.clearance_m, place, thing[order])
+        areas[some[done]], dropped[some[done]] = _keep_parts(
+            parts, np.searchsorted(np.flatnonzero(done), owner), int(done.sum()), self.rules.min_area_m2
+        )
+        undone = np.setdiff1d(np.arange(len(lots)), some[done])
+        left = areas[undone]
         for near in self.near:
-            again, shapes = near.around(
-                lots[undone], only_own=near is self.near[0] and not self.rules.neighbour_buildings
-            )
-            left[undone] = subtract(left[undone], again, shapes)
-        return left
+            again, shapes = near.around(left, only_own=self._only_own(near))
+            left = subtract(left, again, shapes)
+        areas[undone], dropped[undone] = drop_small(left, self.rules.min_area_m2)
+        return Ground(areas, dropped)
+
+    def _only_own(self, near: _Near) -> bool:
+        return near is self.near[0] and not self.rules.neighbour_buildings
 
 
 @dataclass(frozen=True)
 class _Flat:
-    """Polygons as arrays: coordinates of rings with the inside on their left, and where rings and polygons begin."""
+    """Polygons as arrays: coordinates of rings, the inside on their left; where rings and polygons begin; bounds."""
 
     xy: NDArray[np.float64]
     rings: NDArray[np.int64]
     offsets: NDArray[np.int64]
+    boxes: NDArray[np.float64]
 
 
 def _flat(shapes: Shapes) -> _Flat:
-    parts, part_of = shapely.get_parts(shapely.orient_polygons(shapes), return_index=True)
+    parts, part_of = shapely.get_parts(shapes, return_index=True)
     rings, ring_of = shapely.get_rings(parts, return_index=True)
     xy, place = shapely.get_coordinates(rings, return_index=True)
-    return _Flat(
-        xy,
-        np.searchsorted(place, np.arange(len(rings) + 1)),
-        np.searchsorted(part_of[ring_of], np.arange(len(shapes) + 1)),
-    )
+    starts = np.searchsorted(place, np.arange(len(rings) + 1))
+    if len(rings):
+        outer = np.diff(ring_of, prepend=-1) > 0
+        local = xy - xy[starts[:-1]][place]
+        cross = np.append(local[:-1, 0] * local[1:, 1] - local[1:, 0] * local[:-1, 1], 0.0)
+        backward = (np.add.reduceat(cross, starts[:-1]) > 0) != outer
+        here = np.arange(len(xy))
+        xy = xy[np.where(backward[place], (starts[:-1] + starts[1:] - 1)[place] - here, here)]
+    offsets = np.searchsorted(part_of[ring_of], np.arange(len(shapes) + 1))
+    return _Flat(xy, starts, offsets, shapely.bounds(shapes))
 
 
 def _exactly(
@@ -285,30 +299,33 @@ def _exactly(
     clearance_m: NDArray[np.float64],
     row: NDArray[np.integer],
     thing: NDArray[np.integer],
-) -> tuple[Shapes, NDArray[np.bool_]]:
-    """Return lots less the envelopes of the things paired with them, and which of the lots that worked for."""
+) -> tuple[Shapes, NDArray[np.int64], NDArray[np.bool_]]:
+    """Return lots less the envelopes of the things paired with them.
+
+    Returns
+    -------
+    The pieces that are left, the lot of each, and which of the lots that worked for.
+    """
     flat = _flat(lots)
     offsets = np.searchsorted(row, np.arange(len(lots) + 1))
     xy, rings, shell, lot, status = lots_less_envelopes(
-        flat.xy, flat.rings, flat.offsets, things.xy, things.rings, things.offsets, clearance_m,
+        flat.xy, flat.rings, flat.offsets, things.xy, things.rings, things.offsets, things.boxes, clearance_m,
         offsets, np.ascontiguousarray(thing), ARC_EXCESS_M,
     )  # fmt: skip
     done = status == DONE
-    left = np.full(len(lots), shapely.Polygon(), dtype=object)
     if not len(shell):
-        return left, done
-    lines = shapely.linearrings(xy, indices=np.repeat(np.arange(len(shell)), np.diff(rings)))
-    shells, polygon = np.unique(shell, return_inverse=True)
-    order = np.lexsort((shell != np.arange(len(shell)), polygon))
-    parts = np.asarray(shapely.polygons(lines[order], indices=polygon[order]), dtype=object)
+        return np.empty(0, dtype=object), np.empty(0, dtype=np.int64), done
+    shells = np.flatnonzero(shell == np.arange(len(shell)))
+    order = np.argsort(shell, kind="stable")
+    order = order[np.lexsort((order != shell[order], shell[order]))]
+    size = np.diff(rings)[order]
+    ends = np.cumsum(size)
+    xy = xy[np.arange(len(xy)) + np.repeat(rings[order] - (ends - size), size)]
+    firsts = np.append(np.searchsorted(shell[order], shells), len(shell))
+    parts = shapely.from_ragged_array(shapely.GeometryType.POLYGON, xy, (np.append(0, ends), firsts))
     owner = lot[shells]
     done[owner[~shapely.is_valid(parts)]] = False
-    single = np.bincount(owner, minlength=len(lots)) == 1
-    left[owner[single[owner]]] = parts[single[owner]]
-    many, place = np.unique(owner[~single[owner]], return_inverse=True)
-    if len(many):
-        left[many] = shapely.multipolygons(parts[~single[owner]], indices=place)
-    return left, done
+    return parts[done[owner]], owner[done[owner]], done
 
 
 def _buffered(things: Shapes, distances_m: NDArray[np.float64], bounds: NDArray[np.float64]) -> Shapes:
@@ -407,18 +424,23 @@ def drop_small(areas: Shapes, least_m2: float, *, half_width_m: float = SLIVER_M
     The areas, None where nothing is left, and how many pieces each lost.
     """
     parts, owner = shapely.get_parts(areas, return_index=True)
+    return _keep_parts(parts, owner, len(areas), least_m2, half_width_m)
+
+
+def _keep_parts(
+    parts: Shapes, owner: NDArray[np.integer], count: int, least_m2: float, half_width_m: float = SLIVER_M
+) -> tuple[Shapes, NDArray[np.int64]]:
     area, length = shapely.area(parts), shapely.length(parts)
     keep = (shapely.get_dimensions(parts) == 2) & (area >= least_m2) & (area > 0)
     # the inscribed circle's radius is at least area / perimeter, so most need no closer look
     thin = np.flatnonzero(keep & (area < half_width_m * length))
     keep[thin] = ~shapely.is_empty(shapely.buffer(parts[thin], -half_width_m, quad_segs=1))
-    dropped = np.bincount(owner[~keep & (area > 0)], minlength=len(areas))
-    result = np.full(len(areas), None, dtype=object)
-    rows, counts = np.unique(owner[keep], return_counts=True)
+    dropped = np.bincount(owner[~keep & (area > 0)], minlength=count)
+    result = np.full(count, None, dtype=object)
     kept, kept_owner = parts[keep], owner[keep]
-    whole = np.isin(kept_owner, rows[counts == 1])
-    result[kept_owner[whole]] = kept[whole]
-    if not whole.all():
-        place = np.searchsorted(rows[counts > 1], kept_owner[~whole])
-        result[rows[counts > 1]] = shapely.multipolygons(kept[~whole], indices=place)
+    single = np.bincount(kept_owner, minlength=count)[kept_owner] == 1
+    result[kept_owner[single]] = kept[single]
+    many, place = np.unique(kept_owner[~single], return_inverse=True)
+    if len(many):
+        result[many] = shapely.multipolygons(kept[~single], indices=place)
     return result, dropped.astype(np.int64)

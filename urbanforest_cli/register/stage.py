@@ -18,6 +18,7 @@ from pyproj import CRS
 from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.crs import is_metric, reproject, utm_crs, working_crs
 from urbanforest_cli.core.errors import InputError, OutputExistsError, PartlyDoneError
+from urbanforest_cli.core.kernels import announce_compile
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.params import PARAMETERS, STRATEGIES
 from urbanforest_cli.core.progress import Progress, silent
@@ -39,6 +40,7 @@ from urbanforest_cli.register.cleaning import (
     twins,
     unwrap_longitudes,
 )
+from urbanforest_cli.register.envelope_kernel import KERNELS
 from urbanforest_cli.register.envelopes import Ground, Surroundings, Taken, plantable_areas
 from urbanforest_cli.register.layers import (
     LOT_COLUMNS,
@@ -147,6 +149,7 @@ def stencil_city(
         roads = roads_of(layers["roads"], lots.project, config.rules, notices)
     around = surroundings_of(layers, roads, lots.project, config.rules, notices)
     own = frame[[name for name in ("strategy", *PARAMETERS) if name in frame]]
+    announce_compile(KERNELS, progress)
     parameters = resolve_parameters(
         own, lots.ids, lots.zones, config, seed=seed, notices=notices, known_strategies=known_strategies, where=city
     )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from shapely.errors import GEOSException
 
 from urbanforest_cli.core.config import Rules
 from urbanforest_cli.register.cleaning import id_order
@@ -162,14 +163,10 @@ def verge_strips(roads: Roads, rules: Rules, lots: Shapes) -> Strips:
 
 
 def _less_carriageways(strips: Shapes, carriageways: Shapes) -> Shapes:
+    strip, other = shapely.STRtree(carriageways).query(strips, predicate="intersects")
+    rows, near = _gathered(strip, other, carriageways)
     left = np.array(strips, dtype=object)
-    strip, other = shapely.STRtree(carriageways).query(left, predicate="intersects")
-    order = np.lexsort((other, strip))
-    strip, other = strip[order], other[order]
-    bounds = np.searchsorted(strip, np.arange(len(left) + 1))
-    for row in np.unique(strip):
-        whole = shapely.union_all(carriageways[other[bounds[row] : bounds[row + 1]]])
-        left[row] = difference(left[row : row + 1], np.array([whole], dtype=object))[0]
+    left[rows] = difference(left[rows], np.asarray(shapely.union_all(near[:, None], axis=1), dtype=object))
     return left
 
 
@@ -178,17 +175,33 @@ def _less_lots(strips: Shapes, lots: Shapes, sidewalk_m: float, rows: NDArray[np
     if not len(lots):
         return left
     strip, lot = shapely.STRtree(lots).query(left, predicate="dwithin", distance=sidewalk_m)
-    keep = rows[strip]
-    strip, lot = strip[keep], lot[keep]
-    order = np.lexsort((lot, strip))
-    strip, lot = strip[order], lot[order]
-    used, place = np.unique(lot, return_inverse=True)
-    wide = outer_buffer(lots[used], sidewalk_m)
-    bounds = np.searchsorted(strip, np.arange(len(left) + 1))
-    for row in np.unique(strip):
-        near = wide[place[bounds[row] : bounds[row + 1]]]
-        left[row] = difference(left[row : row + 1], np.array([shapely.union_all(near)], dtype=object))[0]
+    here, near = _gathered(strip[rows[strip]], lot[rows[strip]], lots)
+    wide = shapely.buffer(_one_area(near), sidewalk_m, quad_segs=4)
+    left[here] = difference(left[here], np.asarray(wide, dtype=object))
     return left
+
+
+def _one_area(groups: Shapes) -> Shapes:
+    """Return groups of polygons without the edges they share, those that overlap as they are."""
+    joined: Shapes = np.array(groups, dtype=object)
+    try:
+        merged = shapely.coverage_union_all(groups[:, None], axis=1)
+    except GEOSException:  # some lots overlap or meet badly; it does not say which
+        return joined
+    before = shapely.area(groups)
+    fits = np.abs(shapely.area(merged) - before) <= 1e-9 * before
+    joined[fits] = merged[fits]
+    return joined
+
+
+def _gathered(row: NDArray[np.integer], other: NDArray[np.integer], shapes: Shapes) -> tuple[NDArray[np.int64], Shapes]:
+    """Return the rows that have others, and for each a multipolygon of all of them."""
+    order = np.lexsort((other, row))
+    rows, place = np.unique(row[order], return_inverse=True)
+    parts, part_of = shapely.get_parts(shapes[other[order]], return_index=True)
+    if not len(rows):
+        return rows, np.empty(0, dtype=object)
+    return rows, np.asarray(shapely.multipolygons(parts, indices=place[part_of]), dtype=object)
 
 
 def _less_earlier(strips: Shapes) -> Shapes:

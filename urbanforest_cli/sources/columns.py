@@ -43,6 +43,17 @@ def find_column(frame: pd.DataFrame, names: Sequence[str]) -> pd.Series[Any] | N
     return None
 
 
+def first_values(frame: pd.DataFrame, names: Sequence[str]) -> pd.Series[Any] | None:
+    """Return for each row the first value there is in the columns of these names; None where no column is there."""
+    result: pd.Series[Any] | None = None
+    for name in names:
+        column = find_column(frame, (name,))
+        if column is not None:
+            column = column.astype(object)
+            result = column if result is None else result.where(result.notna(), column)
+    return result
+
+
 def _spelling(name: str) -> str:
     return re.sub(r"[\W_]", "", name.casefold())
 

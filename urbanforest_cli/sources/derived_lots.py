@@ -218,7 +218,7 @@ def _borders(buildings: Shapes, bounds: NDArray[np.float64]) -> list[Any]:
     close = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
     # Chains between meeting points, without the small steps that come from sampling the walls.
     chains = shapely.line_merge(shapely.multilinestrings(shapely.linestrings(corners[close])))
-    return list(shapely.get_parts(shapely.simplify(chains, BORDER_TOLERANCE_M)))
+    return list(shapely.simplify(shapely.get_parts(chains), BORDER_TOLERANCE_M, preserve_topology=False))
 
 
 def _wall_points(buildings: Shapes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

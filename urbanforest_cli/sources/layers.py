@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.params import PARAMETERS
-from urbanforest_cli.sources.columns import counts, find_column, metres, require_column
+from urbanforest_cli.sources.columns import counts, find_column, first_values, metres, require_column
 from urbanforest_cli.sources.profile import DEFAULT_KINDS, LayerRule, code_text, matches, zone_by_codes
 from urbanforest_cli.sources.shapes import points_along, usable
 
@@ -86,7 +86,7 @@ def _lot_columns(frame: gpd.GeoDataFrame, rule: LayerRule, origin: Origin, notic
 
 
 def _identities(frame: gpd.GeoDataFrame, rule: LayerRule, origin: Origin, notices: Notices) -> NDArray[Any]:
-    values = _named(frame, rule.id, "id", origin)
+    values = _named(frame, rule.id, "id", origin) if "id" in origin.options else first_values(frame, rule.id)
     if values is None:
         return np.array([str(fid) for fid in frame.index], dtype=object)
     texts = objects([code_text(value) for value in values])
@@ -142,7 +142,7 @@ def _building_columns(frame: gpd.GeoDataFrame, rule: LayerRule, origin: Origin, 
     if levels is not None:
         heights = np.where(np.isnan(heights), counts(levels) * rule.level_height_m, heights)
     columns: dict[str, Any] = {"height_m": heights}
-    identity = find_column(frame, rule.id)
+    identity = first_values(frame, rule.id)
     if identity is not None:
         columns["building_id"] = objects([code_text(value) for value in identity])
     return columns | (_zone_columns(frame, rule, origin) if rule.zones else {})
@@ -188,7 +188,7 @@ def _sketch_columns(frame: gpd.GeoDataFrame, rule: LayerRule, origin: Origin, no
 
 def _plant_columns(frame: gpd.GeoDataFrame, rule: LayerRule, origin: Origin, notices: Notices) -> dict[str, Any]:
     columns: dict[str, Any] = {}
-    species = find_column(frame, rule.species)
+    species = first_values(frame, rule.species)
     if species is not None:
         columns["species"] = objects([code_text(value) for value in species])
     height = find_column(frame, rule.height)

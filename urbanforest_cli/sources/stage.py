@@ -4,37 +4,38 @@ from __future__ import annotations
 
 import fnmatch
 import time
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
-import numpy as np
 import pandas as pd
-import shapely
-from numpy.typing import NDArray
 from pydantic import ValidationError
 from pyproj import CRS
 
 from urbanforest_cli import __version__
-from urbanforest_cli.core.config import Rules
-from urbanforest_cli.core.crs import reproject, working_crs
+from urbanforest_cli.core.crs import working_crs
 from urbanforest_cli.core.errors import ConfigError, InputError, OutputExistsError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.publish import sha256_of
 from urbanforest_cli.core.summary import StageSummary
-from urbanforest_cli.core.zones import FALLBACK_ZONE
+from urbanforest_cli.core.zones import FALLBACK_ZONE, ZONES
 from urbanforest_cli.files.configs import configs_folder, read_toml
 from urbanforest_cli.files.geopackage import timestamp, write_layers
 from urbanforest_cli.files.vectors import list_vector_layers, read_vector, split_source
-from urbanforest_cli.sources.derived_lots import derive_lots
+from urbanforest_cli.sources.city import (
+    city_crs,
+    distinct_lots,
+    extent_of,
+    give_zones,
+    in_crs,
+    join_rows,
+    lots_from_streets,
+)
 from urbanforest_cli.sources.layers import Origin, city_rows, selected, single_trees
 from urbanforest_cli.sources.profile import DEFAULT_KINDS, ROLES, LayerRule, Profile, folded
-from urbanforest_cli.sources.shapes import first_of_equal
-from urbanforest_cli.sources.zoning import covering, majority
 
 GEOMETRY_TYPES = {
     "lots": "MultiPolygon", "buildings": "MultiPolygon", "sketches": "MultiPolygon", "observed_plants": "Point",
@@ -171,13 +172,13 @@ def import_city(
     steps = _role_steps(roles) + _profile_steps(sources, rules, set(roles), summary)
     layers = _read(steps, assume_crs, summary, progress)
     _tell_left(summary)
-    crs = _city_crs(layers, sources, roles)
-    layers = {role: _in_crs(frame, crs) for role, frame in layers.items()}
+    crs = city_crs(layers, where=", ".join([*sources, *(role.source for role in roles.values())]))
+    layers = {role: in_crs(frame, crs) for role, frame in layers.items()}
     if "lots" in layers:
-        layers["lots"] = _distinct(layers["lots"], notices)
+        layers["lots"] = distinct_lots(layers["lots"], notices)
     else:
-        layers["lots"] = _lots_from_streets(layers, notices, progress)
-    lots = _zones(layers, default_zone, summary)
+        layers["lots"] = lots_from_streets(layers, notices, progress)
+    lots, summary.zones = give_zones(layers, default_zone, notices)
     layers["lots"] = lots
     frames: dict[str, pd.DataFrame] = {
         role: layers[role].drop(columns=["zone", "zone_code"], errors="ignore") if role == "buildings" else layers[role]
@@ -196,7 +197,7 @@ def import_city(
 def _check_output(output: Path, sources: Sequence[str], roles: Mapping[str, RoleSource], overwrite: bool) -> None:
     for text in [*sources, *(role.source for role in roles.values())]:
         source, _ = split_source(text)
-        if source.resolve() == output.resolve() if not output.exists() else _same(source, output):
+        if output.exists() and _same(source, output):
             raise InputError("the output is one of the sources", where=output, next_step="name another file with -o")
     if output.exists() and not overwrite:
         raise OutputExistsError("the output is there already", where=output, next_step="add --overwrite to replace it")
@@ -228,17 +229,16 @@ def _role_steps(roles: Mapping[str, RoleSource]) -> list[_Step]:
     return steps
 
 
+_ZONE_NAMES = {zone: zone for zone in ZONES}
 # What columns mostly bear when nobody says: the names of the city file itself, and the commonest others.
 _USUAL_COLUMNS: dict[str, dict[str, Any]] = {
-    "lots": {"id": "lot_id", "zones": [{"column": "zone", "codes": {}}]},
+    "lots": {"id": "lot_id", "zones": [{"column": "zone", "codes": _ZONE_NAMES}]},
     "buildings": {"id": "building_id", "height": ["height_m", "height"], "levels": ["levels", "building:levels"]},
     "roads": {"width": ["width_m", "width"], "kind": ["kind", "highway"]},
     "entrances": {"kind": "kind"},
     "obstacles": {"kind": "kind", "clearance": "clearance_m"},
     "observed_plants": {"species": "species", "height": ["height_m", "height"]},
 }
-_ZONE_NAMES = {zone: zone for zone in ("residential", "commercial", "industrial", "street", "other")}
-_USUAL_COLUMNS["lots"]["zones"][0]["codes"] = _ZONE_NAMES
 
 
 def _profile_steps(sources: Sequence[str], profile: Profile, given: set[str], summary: ImportSummary) -> list[_Step]:
@@ -246,27 +246,29 @@ def _profile_steps(sources: Sequence[str], profile: Profile, given: set[str], su
     steps = []
     for text in sources:
         path, only = split_source(text)
-        layers = [name for name, kind in list_vector_layers(path) if kind is not None and only in (None, name)]
-        if only is not None and not layers:
-            raise InputError(f"no layer {only!r}", where=path, found=", ".join(n for n, _ in list_vector_layers(path)))
-        for layer in layers:
+        spatial = [name for name, kind in list_vector_layers(path) if kind is not None]
+        if only is not None and only not in spatial:
+            raise InputError(f"no layer {only!r}", where=path, found=", ".join(spatial))
+        # The name of a file says what its layer holds, if it is the only one.
+        title = path.name.split(".")[0] if len(spatial) == 1 else None
+        for layer in [name for name in spatial if only in (None, name)]:
             found = [
                 _Step(role, rule, path, layer)
                 for role in ROLES
                 if role not in given
                 for rule in profile.rules(role)
-                if _named_by(rule, layer, path)
+                if _named_by(rule, layer, title)
             ]
             steps += found
             if not found:
                 summary.left.append(
                     {"source": f"{path.name}:{layer}", "why": "no rule of the profile takes this layer"}
                 )
-    return steps
+    return sorted(steps, key=lambda step: step.rule.fallback)  # what stands in for others comes after them
 
 
-def _named_by(rule: LayerRule, layer: str, path: Path) -> bool:
-    names = (folded(layer), folded(path.name.split(".")[0]))
+def _named_by(rule: LayerRule, layer: str, title: str | None) -> bool:
+    names = [folded(name) for name in (layer, title) if name is not None]
     return any(fnmatch.fnmatchcase(name, folded(pattern)) for pattern in rule.layers for name in names)
 
 
@@ -276,24 +278,35 @@ def _read(
     """Read every step's rows, by role."""
     parts: dict[str, list[gpd.GeoDataFrame]] = {}
     cache: dict[tuple[Path, str | None, tuple[str, ...]], gpd.GeoDataFrame] = {}
+    told = set()
+    found = set()
     for number, step in enumerate(steps):
         progress("reading sources", number, len(steps))
-        if step.rule.fallback and any(len(part) for part in parts.get(step.role, [])):
+        if step.rule.fallback and step.role in found:
             continue
         kinds = step.rule.kinds or DEFAULT_KINDS[step.role]
         key = (step.path, step.layer, () if step.layer else kinds)
         if key not in cache:
-            cache = {key: read_vector(
-                step.path, layer=step.layer, kinds=kinds, assume_crs=assume_crs, notices=summary.notices,
+            notices = Notices() if key in told else summary.notices  # a file read again says nothing new
+            told.add(key)
+            frame = read_vector(
+                step.path,
+                layer=step.layer,
+                kinds=kinds,
+                assume_crs=assume_crs,
+                notices=notices,
                 where_hint=step.where,
-            )}  # fmt: skip
+            )
+            cache = {key: frame}  # one at a time, since layers may be large
         frame = cache[key]
         chosen = selected(frame, step.rule)
         rows = city_rows(step.role, chosen, step.rule, Origin(step.label, step.options), summary.notices)
         used = len(rows)
         if step.role == "observed_plants" and used:
-            metric = working_crs(CRS.from_user_input(rows.crs), _bounds(rows), where=step.where)
-            rows = _in_crs(single_trees(_in_crs(rows, metric), step.rule, summary.notices), frame.crs)
+            metric = working_crs(CRS.from_user_input(rows.crs), extent_of(rows), where=step.where)
+            rows = in_crs(single_trees(in_crs(rows, metric), step.rule, summary.notices), frame.crs)
+        if used and not step.rule.fallback:
+            found.add(step.role)
         if used or step.must_hold:
             parts.setdefault(step.role, []).append(rows)
         summary.taken.append({
@@ -301,7 +314,7 @@ def _read(
             "path": str(step.path),
         })  # fmt: skip
     progress("reading sources", len(steps), len(steps))
-    return {role: _joined(frames) for role, frames in parts.items()}
+    return {role: join_rows(frames) for role, frames in parts.items()}
 
 
 def _tell_left(summary: ImportSummary) -> None:
@@ -311,154 +324,6 @@ def _tell_left(summary: ImportSummary) -> None:
     summary.left = [entry for entry in summary.left if entry["source"] not in used]
     summary.left += [{"source": source, "why": "no row of it is usable, or fits the profile"} for source in unused]
     summary.taken = [entry for entry in summary.taken if entry["taken"]]
-
-
-def _bounds(frame: gpd.GeoDataFrame) -> tuple[float, float, float, float]:
-    bounds = shapely.bounds(frame.geometry.to_numpy())
-    bounds = bounds[np.isfinite(bounds).all(axis=1)]
-    if len(bounds) == 0:
-        return (0.0, 0.0, 0.0, 0.0)
-    west, south = bounds[:, :2].min(axis=0)
-    east, north = bounds[:, 2:].max(axis=0)
-    return float(west), float(south), float(east), float(north)
-
-
-def _joined(frames: list[gpd.GeoDataFrame]) -> gpd.GeoDataFrame:
-    crs = frames[0].crs
-    frames = [frames[0]] + [_in_crs(frame, crs) for frame in frames[1:]]
-    if len(frames) == 1:
-        return frames[0]
-    filled = [frame for frame in frames if len(frame)] or frames[:1]
-    columns = list(dict.fromkeys(name for frame in filled for name in frame.columns))
-    joined = {
-        name: np.concatenate([
-            frame[name].to_numpy(dtype=object) if name in frame else np.full(len(frame), None) for frame in filled
-        ])
-        for name in columns
-        if name != "geometry"
-    }  # fmt: skip
-    shapes = np.concatenate([frame.geometry.to_numpy() for frame in filled])
-    return gpd.GeoDataFrame(pd.DataFrame(joined).infer_objects(), geometry=shapes, crs=crs)
-
-
-def _in_crs(frame: gpd.GeoDataFrame, crs: CRS) -> gpd.GeoDataFrame:
-    if frame.crs == crs:
-        return frame
-    shapes = reproject(frame.geometry.to_numpy(), CRS.from_user_input(frame.crs), CRS.from_user_input(crs))
-    return gpd.GeoDataFrame(frame.drop(columns="geometry"), geometry=shapes, crs=crs)
-
-
-def _city_crs(layers: dict[str, gpd.GeoDataFrame], sources: Sequence[str], roles: Mapping[str, RoleSource]) -> CRS:
-    """Return the CRS of the lots, or of what lots are to be made from."""
-    for role in ("lots", "buildings", "roads"):
-        if role in layers:
-            return CRS.from_user_input(layers[role].crs)
-    where = ", ".join([*sources, *(role.source for role in roles.values())])
-    raise InputError(
-        "neither lots, nor streets and buildings to make them from",
-        where=where,
-        next_step="name a layer with --lots, or --roads and --buildings; or try another --profile",
-    )
-
-
-def _distinct(lots: gpd.GeoDataFrame, notices: Notices) -> gpd.GeoDataFrame:
-    """Keep one lot of those that are the same ground, and give each an identifier of its own."""
-    firsts = first_of_equal(lots.geometry.to_numpy())
-    dropped = lots["lot_id"].to_numpy()[~firsts]
-    notices.add("W_SAME_GROUND", "lots on exactly the ground of another, left out", len(dropped), dropped[:5])
-    lots = lots[firsts].reset_index(drop=True)
-    names = lots["lot_id"].astype(str).to_numpy(dtype=object)
-    repeated = pd.Series(names).duplicated().to_numpy()
-    notices.add(
-        "W_ID_REPEATED", "lots with the identifier of another, numbered", int(repeated.sum()), names[repeated][:5]
-    )
-    used = set(names)
-    for row in np.flatnonzero(repeated):
-        number = 2
-        while f"{names[row]}.{number}" in used:
-            number += 1
-        names[row] = f"{names[row]}.{number}"
-        used.add(names[row])
-    return lots.assign(lot_id=names)
-
-
-def _lots_from_streets(layers: dict[str, gpd.GeoDataFrame], notices: Notices, progress: Progress) -> gpd.GeoDataFrame:
-    """Make lots where there are none."""
-    known = [layers[role] for role in ("roads", "buildings") if role in layers]
-    crs = CRS.from_user_input(known[0].crs)
-    boxes = np.array([_bounds(frame) for frame in known if len(frame)] or [(0.0, 0.0, 0.0, 0.0)])
-    metric = working_crs(crs, (*map(float, boxes[:, :2].min(axis=0)), *map(float, boxes[:, 2:].max(axis=0))))  # type: ignore[arg-type]
-    nothing = np.empty(0, dtype=object)
-    roads = _in_crs(layers["roads"], metric) if "roads" in layers else None
-    shapes = nothing if roads is None else roads.geometry.to_numpy()
-    widths = np.empty(0) if roads is None else roads["width_m"].to_numpy(dtype=float, na_value=np.nan)
-    lines = np.isin(shapely.get_type_id(shapes), (1, 2, 5)) if len(shapes) else np.zeros(0, dtype=bool)
-    buildings = _in_crs(layers["buildings"], metric).geometry.to_numpy() if "buildings" in layers else nothing
-    unknown = lines & np.isnan(widths)
-    default = Rules().road_width_m
-    notices.add("W_ROAD_WIDTH", f"roads without a width, taken as {default:g} m wide", int(unknown.sum()))
-    widths = np.where(unknown, default, widths)
-    found = derive_lots(
-        shapes[lines], widths[lines], shapes[~lines], buildings,
-        report=lambda done, total: progress("sharing out blocks", done, total),
-    )  # fmt: skip
-    notices.add("W_LOTS_DERIVED", "lots made from streets and buildings, as the sources hold none", len(found.shapes))
-    notices.add("W_SLIVER", "slivers of ground below 10 m2, left out", found.sliver_count)
-    blank = np.full(len(found.shapes), None, dtype=object)
-    frame = gpd.GeoDataFrame(
-        {"lot_id": found.names, "zone": blank, "zone_code": blank.copy()}, geometry=found.shapes, crs=metric
-    )
-    return _in_crs(frame, crs)
-
-
-def _zones(layers: dict[str, gpd.GeoDataFrame], default_zone: str, summary: ImportSummary) -> gpd.GeoDataFrame:
-    """Give every lot a zone: its own code, else the zoning that covers it, else what stands on it, else the default."""
-    lots = layers["lots"]
-    shapes = lots.geometry.to_numpy()
-    zones, codes = lots["zone"].to_numpy(dtype=object).copy(), lots["zone_code"].to_numpy(dtype=object).copy()
-    by = np.where([zone is not None for zone in zones], "lot", "").astype(object)
-    areas = layers.get("zoning")
-    if areas is not None and len(areas):
-        open_rows = np.flatnonzero(_is_none(zones))
-        hit = covering(shapes[open_rows], areas.geometry.to_numpy())
-        rows, hit = open_rows[hit >= 0], hit[hit >= 0]
-        zones[rows], codes[rows], by[rows] = areas["zone"].to_numpy()[hit], areas["zone_code"].to_numpy()[hit], "zoning"
-    buildings = layers.get("buildings")
-    if buildings is not None and "zone" in buildings and len(buildings):
-        open_rows = np.flatnonzero(_is_none(zones) & _is_none(codes))
-        found = majority(shapes[open_rows], buildings.geometry.to_numpy(), buildings["zone"].to_numpy(dtype=object))
-        rows = open_rows[~_is_none(found)]
-        zones[rows], codes[rows], by[rows] = found[~_is_none(found)], "buildings", "buildings"
-    unknown = _is_none(zones)
-    coded = unknown & ~_is_none(codes)
-    without = unknown & _is_none(codes)
-    zones[coded], zones[without] = FALLBACK_ZONE, default_zone
-    ids = lots["lot_id"].to_numpy()
-    summary.notices.add(
-        "W_ZONE_UNKNOWN",
-        f"lots with a zone code that means nothing here, taken as {FALLBACK_ZONE!r}",
-        int(coded.sum()),
-        sorted({str(code) for code in codes[coded]})[:5],
-    )
-    summary.notices.add(
-        "W_ZONE_MISSING", f"lots without a zone, taken as {default_zone!r}", int(without.sum()), ids[without][:5]
-    )
-    summary.zones = _code_table(codes, zones, ~unknown)
-    return lots.assign(zone=zones, zone_code=codes)
-
-
-def _code_table(codes: NDArray[Any], zones: NDArray[Any], known: NDArray[np.bool_]) -> list[dict[str, object]]:
-    """Count the lots of each code, most first."""
-    counted = Counter(
-        (None if code is None or code != code else str(code), str(zone), bool(sure))
-        for code, zone, sure in zip(codes, zones, known, strict=True)
-    )
-    rows = sorted(counted.items(), key=lambda item: (-item[1], item[0][1], str(item[0][0])))
-    return [{"code": code, "zone": zone, "lots": lots, "known": sure} for (code, zone, sure), lots in rows]
-
-
-def _is_none(values: NDArray[Any]) -> NDArray[np.bool_]:
-    return np.array([value is None or value != value for value in values], dtype=bool)
 
 
 def _sources_table(summary: ImportSummary, profile: str | None) -> pd.DataFrame:

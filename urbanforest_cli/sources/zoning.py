@@ -56,7 +56,7 @@ def covering(lots: Shapes, areas: Shapes) -> NDArray[np.int64]:
 def majority(lots: Shapes, things: Shapes, codes: NDArray[Any]) -> NDArray[Any]:
     """Return for each lot the code of the things in it that take most ground, None where there are none."""
     result = np.full(len(lots), None, dtype=object)
-    given = np.array([code is not None for code in codes], dtype=bool)
+    given = np.array([code is not None and code == code for code in codes], dtype=bool)
     if not given.any() or len(lots) == 0:
         return result
     things, codes = things[given], codes[given]

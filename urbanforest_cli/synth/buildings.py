@@ -20,9 +20,14 @@ Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
 BLOCK, ELL, TEE, YOU, COURT = range(5)
+"""Ground plans: a box, letters, and a box around a courtyard."""
 
 HOUSE, VILLA, ROW, FLATS, SHOP, WORKS, SCHOOL, PAVILION = range(8)
 """Sorts of buildings."""
+
+_SLIMMEST_WING_M = 5.0
+_NARROWEST_M = 8.0
+"""Where a lot has it, a house takes this much of the street and leaves less beside it."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +59,11 @@ _SORTS = {
         (0.8, 0.2, 0.0, 0.0, 0.0), (4.0, 5.0), 0.99, 0.25, 2.8,
     ),
     FLATS: _Sort(
-        (0.6, 2.5), (0.3, 1.2), (60.0, 60.0), (12.0, 26.0), (3.5, 6.4), 3.1,
+        (0.6, 2.5), (0.3, 1.2), (60.0, 60.0), (11.0, 19.0), (3.5, 6.4), 3.1,
         (0.45, 0.27, 0.06, 0.12, 0.1), (8.0, 10.5), 0.97, 0.3, 3.2,
     ),
     SHOP: _Sort(
-        (0.8, 4.0), (0.6, 4.5), (70.0, 70.0), (15.0, 30.0), (2.0, 7.0), 3.6,
+        (0.8, 4.0), (0.6, 4.5), (70.0, 70.0), (14.0, 28.0), (2.0, 7.0), 3.6,
         (0.5, 0.2, 0.06, 0.12, 0.12), (8.5, 12.0), 0.96, 0.5, 5.0,
     ),
     WORKS: _Sort(
@@ -202,7 +207,7 @@ def make_buildings(lots: Lots, zones: NDArray[np.object_], radius_m: float, rng:
     shapes, plans, standing = _fit(lots, plans, frame, built)
     main = np.flatnonzero(standing)
     sheds, shed_lot, shed_heights = _sheds(lots, sort, plans, frame, standing, rng)
-    driveways = _driveways(lots, sort, plans, frame, standing, rng)
+    driveways = _driveways(lots, sort, shapes, plans, frame, standing, rng)
     entrances, kinds = _entrances(sort[main], plans.take(main), frame.take(main), rng)
     order = np.argsort(np.concatenate((main, shed_lot)), kind="stable")
     return Buildings(
@@ -241,18 +246,19 @@ def _draw_footprints(
         return np.array([getattr(_SORTS[s], name) for s in range(len(_SORTS))])[sort]
 
     setback, side, arm = between("setback_m"), between("side_m"), between("arm_m")
+    side = np.minimum(side, np.maximum((frame.width_m - _NARROWEST_M) / 2, 0.3))
     width = np.minimum(between("width_m"), frame.width_m - 2 * side)
     depth = np.minimum(between("depth_m"), frame.depth_m - setback - 2.0)
     shares = np.cumsum([_SORTS[s].plans for s in range(len(_SORTS))], axis=1)[sort]
     form = (rng.random(len(sort))[:, None] >= shares[:, :4]).sum(axis=1)
     arm = np.minimum(arm, 0.62 * depth)
-    roomy = (width > 1.7 * arm) & (depth > 1.5 * arm)
-    form[~roomy] = BLOCK
-    form[((form == YOU) | (form == COURT)) & (width < 3.0 * arm)] = ELL
-    form[(form == COURT) & (depth < 2.8 * arm)] = YOU
-    form[(form == ELL) & ~roomy] = BLOCK
+    slim = np.minimum(arm, np.minimum(depth / 2.7, width / 2.9))
+    form[np.isin(form, (YOU, COURT)) & (slim < _SLIMMEST_WING_M)] = ELL
+    arm = np.where(np.isin(form, (YOU, COURT)), slim, arm)
+    form[(width < 1.7 * arm) | (depth < 1.5 * arm)] = BLOCK
     free = np.maximum(frame.width_m - width, 0.0)
     x = np.where(sort == ROW, free / 2, side + (free - 2 * side) * rng.random(len(sort)))
+    x = np.where(lots.kind == FLAG, np.minimum(x, 1.0), x)
     middle = np.hypot(*lots.site.mean(axis=1).T) / radius_m
     storeys = between("storeys") * np.where(sort == SHOP, np.clip(1.7 - 1.3 * middle, 0.6, 1.7), 1.0)
     storeys[(sort == SHOP) & (lots.use == CENTRE) & (rng.random(len(sort)) < 0.06)] *= 2.0
@@ -319,7 +325,13 @@ def _sheds(
 
 
 def _driveways(
-    lots: Lots, sort: Integers, plans: _Footprints, frame: _Frame, standing: Booleans, rng: np.random.Generator
+    lots: Lots,
+    sort: Integers,
+    shapes: Geometries,
+    plans: _Footprints,
+    frame: _Frame,
+    standing: Booleans,
+    rng: np.random.Generator,
 ) -> Geometries:
     """Lead a way from the curb to the building: beside it where there is room, else up to its front."""
     wide = np.array([_SORTS[s].driveway_m for s in range(len(_SORTS))])[sort]
@@ -342,10 +354,10 @@ def _driveways(
     fits = shapely.contains_properly(lots.shapes[index], inner)
     start = np.full(len(sort), -SIDEWALK_M)
     ways = np.asarray(shapely.polygons(way.points(xs, np.column_stack((start, start, y, y))[index])))[fits]
-    return np.concatenate((ways, _flag_ways(lots, plans, frame, standing)))
+    return np.concatenate((ways, _flag_ways(lots, shapes, plans, frame, standing)))
 
 
-def _flag_ways(lots: Lots, plans: _Footprints, frame: _Frame, standing: Booleans) -> Geometries:
+def _flag_ways(lots: Lots, shapes: Geometries, plans: _Footprints, frame: _Frame, standing: Booleans) -> Geometries:
     """Lead a way along the pole of each flag lot and on to its house."""
     index = np.flatnonzero(standing & (lots.kind == FLAG))
     if not len(index):
@@ -358,7 +370,8 @@ def _flag_ways(lots: Lots, plans: _Footprints, frame: _Frame, standing: Booleans
         out = front - (end - front) * (SIDEWALK_M / np.maximum(np.hypot(*(end - front).T), 1e-9))[:, None]
         beyond = end + frame.inward[index] * np.maximum(plans.y_m[index] - 0.1, 0.0)[:, None]
         ways.append(np.stack((beyond, end, out) if back else (out, end, beyond), axis=1))
-    return np.asarray(shapely.polygons(np.concatenate((ways[0], ways[1]), axis=1)))
+    polygons = np.asarray(shapely.polygons(np.concatenate((ways[0], ways[1]), axis=1)))
+    return polygons[shapely.dwithin(polygons, shapes[index], 0.12)]
 
 
 def _entrances(

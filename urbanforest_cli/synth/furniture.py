@@ -19,6 +19,7 @@ _POST_BEYOND_CURB_M = 0.5
 _TRACK_GAUGE_M = 4.4
 _PIPE_CLEARANCE_M = 2.5
 _PIPE_OFF_WALLS_M = 0.5
+_PIPE_LEAST_M = 20.0
 
 
 @dataclass(frozen=True)
@@ -108,4 +109,6 @@ def _pipes(blocks: Blocks, lots: Lots, rng: np.random.Generator) -> Geometries:
     pairs = pairs[same & begins & (lots.kind[pairs] == PLAIN).all(axis=1)]
     if not len(pairs):
         return np.empty(0, dtype=object)
-    return np.asarray(shapely.linestrings(np.stack((lots.site[pairs[:, 0], 3], lots.site[pairs[:, 1], 2]), axis=1)))
+    ends_xy = np.stack((lots.site[pairs[:, 0], 3], lots.site[pairs[:, 1], 2]), axis=1)
+    pipes = np.asarray(shapely.linestrings(ends_xy))
+    return pipes[shapely.length(pipes) > _PIPE_LEAST_M]  # a row of one lot has no second end

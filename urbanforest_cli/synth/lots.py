@@ -97,10 +97,19 @@ def make_lots(blocks: Blocks, plan: Plan, rng: np.random.Generator) -> Lots:
     spread = np.array([_HABITS[use][1] for use in range(len(_HABITS))])[blocks.use[rows.block[row]]]
     weight = np.exp(rng.normal(0, 1, len(row)) * spread)
     s0, s1 = _shares(row, weight, len(rows.count))
-    cut = ~blocks.whole[rows.block[row]]
+    cut = ~_whole_rows(blocks, plan, rows)[row]
     plain = _whole_lots(blocks, rows, row[~cut], s0[~cut], s1[~cut], kind[row[~cut]], rng)
     bordering = _cut_lots(blocks, plan, rows, row[cut], s0[cut], s1[cut], kind[row[cut]])
     return _with_enclaves(Lots.joined([plain, bordering]), rng)
+
+
+def _whole_rows(blocks: Blocks, plan: Plan, rows: _Rows) -> Booleans:
+    """Tell which rows lie within their district's region."""
+    whole = blocks.whole[rows.block]
+    row = np.flatnonzero(~whole)
+    boxes = shapely.polygons(rows.boxes(blocks, row, np.zeros(len(row)), np.ones(len(row)), 0.0, 1.0))
+    whole[row] = shapely.contains_properly(plan.regions[blocks.district[rows.block[row]]], boxes)
+    return whole
 
 
 def _make_rows(blocks: Blocks, rng: np.random.Generator) -> tuple[_Rows, Integers]:
@@ -269,17 +278,17 @@ def _cut_lots(
     good &= shapely.area(pieces) > 1.6 * shapely.length(pieces)  # no slivers
     pieces, of = pieces[good], of[good]
     block = rows.block[row[of]]
-    count = len(of)
+    site = rows.boxes(blocks, row[of], s0[of], s1[of], 0.0, 1.0)
+    cut = shapely.area(pieces) < 0.999 * shapely.area(shapely.polygons(site))
     return Lots(
-        pieces, block, blocks.use[block], row_kind[of], rows.boxes(blocks, row[of], s0[of], s1[of], 0.0, 1.0),
-        _no_pole(count), _ends(row)[of], np.ones(count, dtype=bool),
-    )  # fmt: skip
+        pieces, block, blocks.use[block], row_kind[of], site, _no_pole(len(of)), _ends(row)[of], np.asarray(cut)
+    )
 
 
 def _with_enclaves(lots: Lots, rng: np.random.Generator) -> Lots:
     """Take a small lot, a substation or a pumping house, out of the ground of some large ones."""
     chance = rng.random(len(lots))
-    large = (lots.kind == PLAIN) & ~lots.cut & (shapely.area(lots.shapes) > 1500) & (chance < 0.08)
+    large = (lots.kind == PLAIN) & ~lots.cut & (shapely.area(lots.shapes) > 1000) & (chance < 0.08)
     index = np.flatnonzero(large)
     s, t = rng.uniform(0.58, 0.7, len(index)), rng.uniform(0.6, 0.7, len(index))
     side_s, side_t = rng.uniform(0.14, 0.2, len(index)), rng.uniform(0.14, 0.2, len(index))

@@ -215,7 +215,6 @@ def _ridges(
     """Return the pairs of districts that share an edge, the edges as bent lines, and which of them are avenues."""
     ends = np.array(voronoi.ridge_vertices)
     finite = (ends >= 0).all(axis=1)
-    finite &= (np.hypot(*np.moveaxis(voronoi.points[voronoi.ridge_points], 2, 0)) < 1e7).all(axis=1)
     lines = shapely.linestrings(voronoi.vertices[ends[finite]])
     bent = shapely.transform(shapely.segmentize(lines, _STEP_M), warp)
     return voronoi.ridge_points[finite], bent, rng.random(len(bent)) < 0.35
@@ -316,7 +315,7 @@ def _district_uses(
     chance = rng.random(count)
     uses = np.where(chance < np.clip(0.95 - 1.25 * share, 0.08, 0.9), DENSE, SUBURB)
     uses[(uses == SUBURB) & (rng.random(count) < np.clip(1.1 * share - 0.25, 0, 0.6))] = GARDEN
-    uses[(share < 0.26) & (rng.random(count) < 0.75)] = CENTRE
+    uses[(share < 0.36) & (rng.random(count) < 0.8)] = CENTRE
     if railway_distance_m is not None:
         far = np.where((share > 0.2) & (share < 0.95), railway_distance_m, np.inf)
         works = np.argsort(far, kind="stable")[: max(1, round(_WORKS_SHARE * int((share < 1).sum())))]

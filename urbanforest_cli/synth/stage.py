@@ -79,7 +79,7 @@ def make_city(
     lot_count: int,
     seed: int,
     crs: str = DEFAULT_CRS,
-    squares: bool = True,
+    squares: bool = False,
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> StageSummary:
@@ -97,7 +97,8 @@ def make_city(
     crs
         A projected CRS in metres.
     squares
-        Make a lot in some twenty thousand a square of the street zone.
+        Make one lot, and another for every twenty thousand, a square of the street zone. Without squares the street
+        zone is what `stencil` derives from the roads; with them it is these lots.
     overwrite
         Replace a file that stands in the way.
 
@@ -175,7 +176,7 @@ def city_place(text: str) -> tuple[CRS, tuple[float, float]]:
 
 
 def build_city(
-    lot_count: int, seed: int, catalogue: Catalogue, *, squares: bool = True, progress: Progress = silent
+    lot_count: int, seed: int, catalogue: Catalogue, *, squares: bool = False, progress: Progress = silent
 ) -> SynthCity:
     """Build a city of exactly `lot_count` lots around the origin.
 

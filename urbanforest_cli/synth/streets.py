@@ -91,7 +91,8 @@ def _main_roads(plan: Plan, tree: shapely.STRtree) -> Roads:
         over = (roads.kinds[segments.line] != "quay") & (shapely.distance(middles, plan.river_course) < bank_m)
         reach_m = np.where(over, reach_m + 2 * bank_m, reach_m)
     if plan.railway is not None:
-        drop |= main & _runs_along(segments, middles, plan.railway, RAIL_CORRIDOR_M)
+        narrow = main & (roads.kinds[segments.line] != "boulevard")
+        drop |= narrow & _runs_along(segments, middles, plan.railway, RAIL_CORRIDOR_M)
     kept = ~drop & _near(tree, middles, reach_m)
     lines, of = segments.merged(kept)
     return Roads(lines, roads.kinds[of], roads.widths_m[of])
@@ -130,6 +131,8 @@ def _side_streets(plan: Plan, streets: SideStreets, tree: shapely.STRtree) -> Ro
     starts_m, ends_m = (
         shapely.distance(shapely.points(ends[index]), border[index]) for ends in (segments.starts, segments.ends)
     )
-    kept[index] = np.maximum(starts_m, ends_m) > _BORDER_M
+    length_m = np.hypot(*(segments.ends[index] - segments.starts[index]).T)
+    along = np.abs(starts_m - ends_m) < 0.5 * length_m
+    kept[index] = (np.maximum(starts_m, ends_m) > _BORDER_M) | ~along
     merged, piece = segments.merged(kept)
     return Roads(merged, streets.kinds[of[piece]], streets.widths_m[of[piece]])

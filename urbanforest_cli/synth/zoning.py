@@ -13,37 +13,38 @@ from urbanforest_cli.synth.lots import CAMPUS, ENCLAVE, GREEN, Lots
 from urbanforest_cli.synth.plan import CENTRE, DENSE, GARDEN, INDUSTRIAL, PARK, SUBURB, MainRoads
 
 _SHOP_REACH_M = 34.0
+_SHOP_LEAST_M2 = 480.0
 _LOTS_A_SQUARE = 20_000
 
 #             residential commercial industrial (the rest is other)
 _SHARES = {
     CENTRE: (0.16, 0.80, 0.00),
-    DENSE: (0.95, 0.03, 0.00),
-    SUBURB: (0.98, 0.01, 0.00),
-    GARDEN: (0.98, 0.01, 0.00),
+    DENSE: (0.96, 0.02, 0.00),
+    SUBURB: (0.98, 0.005, 0.00),
+    GARDEN: (0.985, 0.005, 0.00),
     INDUSTRIAL: (0.00, 0.08, 0.89),
     PARK: (0.00, 0.00, 0.00),
 }
 
 
 def zone_lots(
-    lots: Lots, main_roads: MainRoads, rng: np.random.Generator, *, squares: bool = True
+    lots: Lots, main_roads: MainRoads, rng: np.random.Generator, *, squares: bool = False
 ) -> NDArray[np.object_]:
-    """Give every lot its zone; a city of five lots or more has all of them.
+    """Give every lot its zone; no zone is missing.
 
-    Streets are lines of their own, so the street zone is only that of a few squares, or of no lot at all.
+    Streets are lines of their own, so no lot is of the street zone but a few squares, where they are wanted.
     """
     count = len(lots)
     shares = np.cumsum([_SHARES[use] for use in range(len(_SHARES))], axis=1)[lots.use]
     names = np.array(["residential", "commercial", "industrial", "other"], dtype=object)
     zones = names[(rng.random(count)[:, None] >= shares).sum(axis=1)]
     middles = shapely.point_on_surface(lots.shapes)
-    homes = zones == "residential"
+    roomy = (zones == "residential") & (shapely.area(lots.shapes) > _SHOP_LEAST_M2)
     chance = rng.random(count)
-    zones[homes & lots.corner & (lots.use == DENSE) & (chance < 0.12)] = "commercial"
-    for kind, share in (("boulevard", 0.4), ("avenue", 0.08)):
+    zones[roomy & lots.corner & (lots.use == DENSE) & (chance < 0.2)] = "commercial"
+    for kind, share in (("boulevard", 0.5), ("avenue", 0.15)):
         beside = _beside(middles, main_roads.lines[main_roads.kinds == kind])
-        zones[homes & beside & (chance < share)] = "commercial"
+        zones[roomy & beside & (chance < share)] = "commercial"
     zones[np.isin(lots.kind, (GREEN, CAMPUS, ENCLAVE))] = "other"
     if squares:
         _make_squares(zones, lots, middles)
