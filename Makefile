@@ -52,7 +52,7 @@ figures: install ## render the paper's placement figures
 	$(BIN)/urbanforest figures -o figures
 
 sample: install ## make the sample city again
-	$(BIN)/urbanforest synth --lots 360 --seed 7 --sample -o data_samples/sample_city.gpkg --overwrite
+	SOURCE_DATE_EPOCH=1735689600 $(BIN)/urbanforest synth --lots 350 --seed 63 -o data_samples/sample_city.gpkg --overwrite
 
 clean: ## remove what was made
 	rm -rf $(VENV) $(DEMO) figures build dist .pytest_cache .mypy_cache .ruff_cache

@@ -166,15 +166,27 @@ def _run(request: Request, keys: dict[str, str], progress: Progress) -> list[Sta
     published = request.out / REGISTER
     done = _stages_done(published, keys, request.until)
     work = request.out / WORK_FOLDER
-    summaries: dict[str, StageSummary] = {}
     if len(done) == len(wanted) and (request.until != "export" or _exports_fresh(request.out, keys["export"])):
         shutil.rmtree(work, ignore_errors=True)
-        summaries = _kept(published, wanted)
+        kept = _kept(published, wanted)
         if request.until == "export":
-            summaries["export"] = StageSummary("export", request.out, up_to_date=True)
-        return list(summaries.values())
+            kept["export"] = StageSummary("export", request.out, up_to_date=True)
+        return list(kept.values())
 
     register = _work_register(work, published, keys, request.until)
+    try:
+        summaries = _run_stages(request, keys, register, progress)
+        _publish_all(work, request.out, request.until)
+    finally:
+        if not register.exists():  # nothing to go on from
+            shutil.rmtree(work, ignore_errors=True)
+    return summaries
+
+
+def _run_stages(request: Request, keys: dict[str, str], register: Path, progress: Progress) -> list[StageSummary]:
+    """Run on the working register all stages that its records do not show as done, and the exports beside it."""
+    wanted = _register_stages(request.until)
+    published = request.out / REGISTER
     done = _stages_done(register, keys, request.until)
     summaries = _kept(register, tuple(done), shown=published)
     steps: dict[str, Callable[[], StageSummary]] = {
@@ -207,7 +219,7 @@ def _run(request: Request, keys: dict[str, str], progress: Progress) -> list[Sta
     if request.until == "export":
         summaries["export"] = export_outputs(
             register,
-            work,
+            register.parent,
             config=request.config,
             city=request.city,
             assume_crs=request.assume_crs,
@@ -216,7 +228,6 @@ def _run(request: Request, keys: dict[str, str], progress: Progress) -> list[Sta
             progress=progress,
         )
         summaries["export"].output = request.out
-    _publish_all(work, request.out, request.until)
     return list(summaries.values())
 
 

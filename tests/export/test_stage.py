@@ -162,7 +162,7 @@ def test_the_map_is_as_wide_as_the_config_says(exported):
 def test_equal_content_is_equal_bytes_where_the_date_is_fixed(register, city, tmp_path, config, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     for folder, seconds in (("one", 1.0), ("two", 2.0)):
-        told = {"stage": "place", "output": folder, "seconds": seconds, "counts": {}, "warnings": []}
+        told = {"stage": "place", "output": folder, "seconds": seconds, "counts": {"reused": seconds}, "warnings": []}
         export_outputs(register, tmp_path / folder, config=config, city=city, summaries=[told])
     for name in OUTPUTS:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()

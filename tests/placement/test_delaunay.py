@@ -11,7 +11,7 @@ def triangulate(points):
     """Return the triangles the kernel makes of points inserted in their order."""
     x, y = (np.append(column, np.nan) for column in points.T)
     ghost = len(points)
-    origin, twin = np.full((2, 6 * ghost + 24), -1, dtype=np.int32)
+    origin, twin = np.full((2, 8 * ghost + 32), -1, dtype=np.int32)
     start = np.full(ghost + 1, -1, dtype=np.int32)
     stack = np.empty(2 * ghost + 16, dtype=np.int32)
     third = next(c for c in range(2, ghost) if orientation(x[0], y[0], x[1], y[1], x[c], y[c]) != 0)
@@ -20,8 +20,9 @@ def triangulate(points):
     for p in range(2, ghost):
         if p != third:
             count, same[p] = insert_point(x, y, p, start[0], ghost, origin, twin, start, count, stack)
-    assert (twin[twin[: 3 * count]] == np.arange(3 * count)).all()
-    return [t for t in origin[: 3 * count].reshape(-1, 3) if ghost not in t], same
+    used = 4 * np.arange(count)[:, None] + np.arange(3)
+    assert (twin[twin[used]] == used).all()
+    return [t for t in origin[used] if ghost not in t], same
 
 
 def snapped(points):

@@ -1,3 +1,4 @@
+import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
@@ -89,10 +90,8 @@ def test_axis_is_that_of_the_lot_and_plants_stand_only_in_the_ground_left():
 
 
 def test_radius_of_a_plant_does_not_change_when_ground_elsewhere_is_built_on():
-    open_, built = (
-        equidistant(sites([STRIP], [area], spacing_m=13.0), SETTINGS)
-        for area in (STRIP, STRIP - shapely.box(0, 0, 60, 12))
-    )
+    areas = STRIP, STRIP - shapely.box(0, 0, 60, 12)
+    open_, built = (equidistant(sites([STRIP], [area], spacing_m=13.0), SETTINGS) for area in areas)
     assert np.array_equal(open_.radius_m[-len(built) :], built.radius_m)
 
 
@@ -117,7 +116,7 @@ def test_positions_hang_on_the_lot_alone():
 
 def test_noise_of_a_reprojection_changes_no_row():
     lots = [affinity.rotate(T_SHAPE, 20 * i, origin=(0, 0)) for i in range(6)] + [ANNULUS, STRIP]
-    lots = shapely.transform(np.array(lots, dtype=object), lambda xy: xy + (400_000.1, 5e6))
+    lots = shapely.transform(np.array(lots, dtype=object), lambda xy: xy + np.array([400_000.1, 5e6]))
     noisy = shapely.transform(lots, lambda xy: xy + 1e-7 * np.sin(1e5 * xy + 3e4 * xy[:, ::-1]))
     one, other = (equidistant(sites(batch, spacing_m=5.0), SETTINGS) for batch in (lots, noisy))
     assert np.array_equal(one.site, other.site)
@@ -128,3 +127,24 @@ def test_lots_without_an_axis_get_no_plants():
     found = equidistant(sites([shapely.box(0, 0, 50, 0.001), shapely.Polygon(), STRIP]), SETTINGS)
     assert set(found.site) == {2}
     assert len(equidistant(sites([shapely.Polygon()]), SETTINGS)) == 0
+
+
+def test_real_lots_get_the_same_rows_whatever_crs_they_came_in(real_data):
+    lots = gpd.read_file(real_data / "nyc_astoria" / "astoria.gpkg").geometry.make_valid()
+    straight = np.array(lots.to_crs(32618).values, dtype=object)
+    roundabout = np.array(lots.to_crs(4326).to_crs(3857).to_crs(32618).values, dtype=object)
+    one, other = (equidistant(sites(batch), SETTINGS) for batch in (straight, roundabout))
+    assert len(one) > 5000
+    assert np.array_equal(one.site, other.site)
+    assert np.abs(one.xy - other.xy).max() < 1e-3
+    assert not medial_axes(straight).failed.any()
+
+
+def test_real_verges_are_planted_in_their_middle(real_data):
+    roads = gpd.read_file(real_data / "bondy" / "bondy.gpkg", layer="osm_roads").to_crs(2154).geometry.values
+    verges = np.array(shapely.difference(shapely.buffer(roads, 6), shapely.buffer(roads, 3.5)), dtype=object)
+    found = equidistant(sites(verges), SETTINGS)
+    assert len(found) == pytest.approx(shapely.length(verges).sum() / 2 / 8, rel=0.05)
+    apart = shapely.distance(np.array(roads)[found.site], shapely.points(found.xy))
+    assert np.median(apart) == pytest.approx(4.75, abs=0.01)
+    assert (np.abs(apart - 4.75) < 0.3).mean() > 0.97

@@ -1,3 +1,4 @@
+import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
@@ -6,7 +7,6 @@ from shapely import affinity
 
 from tests.reference.lattice import lattice_by_shapely
 from urbanforest_cli.core.config import Placement
-from urbanforest_cli.core.errors import LimitError
 from urbanforest_cli.core.params import PARAMETERS
 from urbanforest_cli.core.randomness import keys_for
 from urbanforest_cli.placement.lattice import CELLS_A_BLOCK, lattice_positions, regular
@@ -49,9 +49,11 @@ def test_cells_of_a_field_are_known_by_hand():
 @pytest.mark.parametrize("cell_m", [2.0, 5.0, 9.0])
 def test_number_of_plants_is_the_area_over_that_of_a_cell(cell_m):
     lots = random_lots(600)
-    expected = shapely.area(lots).sum() / cell_m**2
-    assert len(lattice(lots, cell_m).xy) == pytest.approx(expected, rel=0.05)
-    assert len(lattice(lots, cell_m, random_phase=True).xy) == pytest.approx(expected, rel=0.03)
+    found = lattice(lots, cell_m, random_phase=True)
+    assert len(found.xy) == pytest.approx(shapely.area(lots).sum() / cell_m**2, rel=0.03)
+    sides = np.random.default_rng(2).uniform(10, 60, (2, 600))
+    fields = [affinity.rotate(shapely.box(0, 0, a, b), a) for a, b in sides.T]
+    assert len(lattice(fields, cell_m).xy) == pytest.approx((sides[0] * sides[1]).sum() / cell_m**2, rel=0.03)
 
 
 @pytest.mark.parametrize("orientation_deg", [0.0, 27.0])
@@ -95,7 +97,7 @@ def test_turned_lattice_covers_the_lot_to_its_corners():
 )
 @pytest.mark.parametrize("options", [{}, {"jitter": 1.0, "random_phase": True}])
 def test_ties_between_frames_are_broken_the_same_way_under_noise(lot, options):
-    lots = shapely.transform(np.array([lot] * 8, dtype=object), lambda xy: xy + (500_000.0, 4_500_000.0))
+    lots = shapely.transform(np.array([lot] * 8, dtype=object), lambda xy: xy + np.array([500_000.0, 4_500_000.0]))
     rng = np.random.default_rng(0)
     shift = rng.uniform(-1e-7, 1e-7, (8, 2))
     noisy = np.array(
@@ -168,15 +170,6 @@ def test_lots_without_ground_and_without_shape_get_no_plants():
     assert len(lattice([], 5.0).xy) == 0
 
 
-def test_a_lot_over_the_limit_is_named():
-    ids = np.array(["small", "huge"], dtype=object)
-    values = {name: np.full(2, float(p.default)) for name, p in PARAMETERS.items()}
-    values["grid_size_m"][:] = 0.2
-    lots = np.array([FIELD, shapely.box(0, 0, 3000, 3000)], dtype=object)
-    with pytest.raises(LimitError, match="lot huge"):
-        regular(Sites(ids, keys_for(0, "place", ids), lots, lots, values), Placement())
-
-
 def test_strategy_gives_each_plant_a_radius_of_the_law():
     ids = np.array(["a"], dtype=object)
     values = {name: np.array([float(p.default)]) for name, p in PARAMETERS.items()}
@@ -186,3 +179,13 @@ def test_strategy_gives_each_plant_a_radius_of_the_law():
     assert len(found) == 10_000
     assert found.radius_m.mean() == pytest.approx(3.13, rel=0.01)
     assert found.radius_m.var() == pytest.approx(0.35, rel=0.05)
+
+
+def test_real_lots_get_the_same_lattice_whatever_crs_they_came_in(real_data):
+    lots = gpd.read_file(real_data / "nyc_astoria" / "astoria.gpkg").geometry.make_valid()
+    straight = np.array(lots.to_crs(32618).values, dtype=object)
+    roundabout = np.array(lots.to_crs(4326).to_crs(3857).to_crs(32618).values, dtype=object)
+    one, other = (lattice(batch, 5.0, 20.0, 0.5, random_phase=True) for batch in (straight, roundabout))
+    assert len(one.xy) == pytest.approx(shapely.area(straight).sum() / 25, rel=0.03)
+    assert np.array_equal(one.site, other.site)
+    assert np.abs(one.xy - other.xy).max() < 1e-3

@@ -126,11 +126,12 @@ def test_city_wide_placement_knows_no_order_of_lots():
     assert np.allclose(one.xy[one.site == 4], two.xy[two.site == 7], atol=1e-9)
 
 
-def test_a_lot_over_the_limit_is_refused_by_name():
-    from urbanforest_cli.core.errors import LimitError
-
-    with pytest.raises(LimitError, match="lot0"):
-        BUILT_IN["random"](sites([shapely.box(0, 0, 200, 200)]), Placement(max_plants_per_lot=50))
+@pytest.mark.parametrize("name", ["random", "regular", "equidistant"])
+def test_a_lot_over_the_limit_is_left_out_and_the_others_are_planted(name):
+    lots = [shapely.box(0, 0, 2000, 200), shapely.box(3000, 0, 3060, 30)]
+    found = BUILT_IN[name](sites(lots, spacing_m=4), Placement(max_plants_per_lot=100))
+    assert found.refused.tolist() == [0]
+    assert set(found.site) == {1}
 
 
 def test_an_unknown_strategy_lists_the_six():

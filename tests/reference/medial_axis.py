@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ def boundary_samples(polygon: shapely.Polygon, step_m: float) -> tuple[NDArray[n
     for ring in (polygon.exterior, *polygon.interiors):
         corners = np.asarray(ring.coords)
         on_ring = []
-        for a, b in zip(corners[:-1], corners[1:], strict=True):
+        for a, b in pairwise(corners):
             pieces = max(1, int(np.ceil(np.hypot(*(b - a)) / step_m)))
             on_ring.append(a + (b - a) * np.arange(pieces)[:, None] / pieces)
         ring_points = np.concatenate(on_ring)

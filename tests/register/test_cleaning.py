@@ -187,7 +187,7 @@ def test_a_lot_of_ten_thousand_holes_keeps_them():
     assert shape.area == pytest.approx(lot.area)
 
 
-def test_a_lot_longer_than_a_hundred_kilometres_is_refused():
+def test_a_lot_longer_than_five_hundred_kilometres_is_refused():
     with pytest.raises(LimitError, match="1,000 km"):
         only(box(0, 0, 1e6, 10))
 

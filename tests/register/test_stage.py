@@ -478,6 +478,15 @@ def test_the_only_polygon_layer_is_taken_as_lots_unless_it_is_something_else(tmp
         run(city)
 
 
+def test_a_lone_layer_beside_those_of_a_city_is_taken_as_lots(tmp_path, run):
+    city = tmp_path / "city.gpkg"
+    write_layer(city, "parcels", [lot()], lot_id=["a"])
+    write_layer(city, "buildings", [house()])
+    register = run(city)
+    assert register.layer("lots")["lot_id"].tolist() == ["a"]
+    assert register.layer("active_areas")["area_m2"][0] < 3600 - 100
+
+
 def test_columns_that_differ_by_case_alone_are_refused(tmp_path, run):
     city = tmp_path / "city.geojson"
     ring = [[15, 48], [15.001, 48], [15.001, 48.001], [15, 48.001], [15, 48]]

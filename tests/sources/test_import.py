@@ -331,7 +331,7 @@ def test_what_cannot_be_done_is_said_and_nothing_is_left(tmp_path: Path, city: P
     refused("no layer 'x'", [f"{source}:x"], city, profile="osm")
     refused("no such file", [str(tmp_path / "b.gpkg")], city, profile="osm")
     for name in ("http://example.org/a.gpkg", "/vsicurl/x", "a\0b.gpkg", str(tmp_path)):
-        refused("", [], city, roles={"lots": RoleSource(name)})
+        refused("only local|no such|reached|folder", [], city, roles={"lots": RoleSource(name)})
     assert sorted(tmp_path.iterdir()) == before
     import_city([], city, roles=roles)
     assert isinstance(refused("there already", [], city, roles=roles), OutputExistsError)

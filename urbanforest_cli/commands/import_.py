@@ -68,7 +68,7 @@ def command(
     Profiles: nyc-pluto, fr-cadastre, osm, nl-bgt, overture, or a mapping file of your own.
 
     \b
-    Examples:
+    Example:
         urbanforest import pluto.gpkg --profile nyc-pluto -o city.gpkg
         urbanforest import cadastre.gpkg plu.gpkg osm.gpkg --profile fr-cadastre -o city.gpkg
         urbanforest import --lots parcels.shp --lot-id APN --buildings houses.gpkg:roofs --height H -o city.gpkg

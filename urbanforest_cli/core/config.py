@@ -79,7 +79,7 @@ class Placement(Section):
     cluster_count: Literal["uniform", "max"] = Field("uniform", description="clusters: 1 to the maximum, or it")
     lattice_phase: Literal["centred", "random"] = Field("centred", description="where the lattice starts")
     max_plants_per_lot: Annotated[int, Field(strict=True, ge=1)] = Field(
-        2_000_000, description="a lot over this is refused"
+        250_000, description="a lot that would hold more is skipped"
     )
 
 

@@ -33,6 +33,7 @@ SKIP_REASONS = {
     "no_room": "buildings, driveways and other clearances cover the whole lot",
     "no_position": "the strategy finds no position in the ground that is left",
     "thinned": "the density left no plant standing",
+    "too_many_plants": "it would hold more plants than placement.max_plants_per_lot",
     "too_slow": "the lot's geometry took longer than the limit",
 }
 
@@ -115,6 +116,7 @@ LAYERS: dict[str, Layer] = {
             "placements", "place", "one row a lot: what the sampler did",
             columns={
                 "lot_id": Column("text", "lot", unique=True),
+                "outcome": Column("text", "planted, or the reason why not"),
                 "position_count": Column("integer", "positions before thinning by density", low=0),
                 "plant_count": Column("integer", "plants", low=0),
                 "radius_mean_m": Column("number", "realised mean envelope radius", nullable=True),

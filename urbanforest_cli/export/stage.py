@@ -72,8 +72,8 @@ def export_outputs(
     """Write plants.geojson, map.png, report.html and report.json.
 
     Reads layers lots, active_areas, parameters, plants, placements and skipped, and the city's buildings and roads.
-    The report comes last and names the others with their hashes. Where SOURCE_DATE_EPOCH is set, the time each stage
-    took is left out, so that equal content is equal bytes.
+    The report comes last and names the others with their hashes. Where SOURCE_DATE_EPOCH is set, it tells of the
+    stages what the register remembers, not how long they took, so that equal content is equal bytes.
 
     Parameters
     ----------
@@ -291,15 +291,14 @@ def _report(
     config: Config,
     summaries: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
-    stages = [dict(summary) for summary in summaries] or [
-        {"stage": record.stage, "counts": record.counts, "warnings": record.notices.as_records(), "up_to_date": True}
-        for record in read_records(register).values()
-    ]
+    stages: list[dict[str, Any]] = [dict(summary) for summary in summaries]
+    if not stages or "SOURCE_DATE_EPOCH" in os.environ:
+        stages = [
+            {"stage": record.stage, "counts": record.counts, "warnings": record.notices.as_records()}
+            for record in read_records(register).values()
+        ]
     for stage in stages:
         stage.pop("output", None)
-        if "SOURCE_DATE_EPOCH" in os.environ:
-            stage.pop("seconds", None)
-            stage.pop("up_to_date", None)
     return build_report(
         planted.tables,
         title=planted.name,

@@ -35,6 +35,7 @@ SAME_POINT_M = 1e-6
 SPIKE_M = 1e-5
 MIN_WIDTH_M = 0.02
 MIN_SAMPLE_STEP_M = 0.01
+FINE_STEP_M, COARSE_STEP_M = 1.0, 2.0
 MAX_SAMPLES = 500_000
 REFINE_ROUNDS = 24
 # No edge of natural length, a whole number of steps, lies near a change of the number of its samples.
@@ -44,6 +45,8 @@ ORDER_X, ORDER_Y = math.cos(0.7345), math.sin(0.7345)
 SAME_LENGTH_M = 1e-3
 # Directions are told apart down to a sine of a thousandth.
 SMALL = 1e-6
+# Newton's steps double the figures that are right: what was this close is at its place after one more.
+CLOSE_M = 1e-5
 
 
 @njit(cache=True, nogil=True)
@@ -55,6 +58,8 @@ def axes_of_parts(xy, ring_offsets, part_offsets, step, corner_factor, branch_fa
     xy, ring_offsets, part_offsets
         (n, 2) coordinates of closed rings, where each ring begins, and at which ring each polygon begins; the first
         ring of a polygon is its shell.
+    step
+        Distance of samples; 0 for one that fits the polygon's width, which is about twice its area by its perimeter.
 
     Returns
     -------
@@ -119,17 +124,17 @@ def _axis_of_part(xy, ring_offsets, r0, r1, step, corner_factor, branch_factor):
     cx, cy, corner_offsets, west, south, area, perimeter = _corners(xy, ring_offsets, r0, r1)
     if len(cx) < 3 or not (area > 0.0 and perimeter < np.inf) or 2 * area / perimeter < MIN_WIDTH_M:
         return _nothing(TOO_THIN)
+    if step <= 0.0:
+        step = min(max(FINE_STEP_M, 0.4 * area / perimeter), COARSE_STEP_M)
     step = min(step, 0.9 * area / perimeter)
     step = max(step, perimeter / MAX_SAMPLES)
-    sampled, x, y, first, second, ea, eb, es, edge_count, ring_starts, other = _samples(cx, cy, corner_offsets, step)
+    sampled, x, y, features, ea, eb, es, edge_count, ring_starts, edges = _samples(cx, cy, corner_offsets, step)
     state, vertices, edge_count, triangles, origin, twin, edge_at = _triangulated(
-        x, y, sampled, first, second, ea, eb, es, edge_count, ring_starts
+        x, y, sampled, features, ea, eb, es, edge_count, ring_starts
     )
     if state != FOUND:
         return _nothing(state)
-    state, nx, ny, nr, links = _dual(
-        x, y, first, second, es, edge_count, edge_at, vertices, triangles, origin, twin, cx, cy, other
-    )
+    state, nx, ny, nr, links = _dual(x, y, features, es, edge_count, edge_at, vertices, triangles, origin, twin, edges)
     if state != FOUND:
         return _nothing(state)
     alive = np.ones(len(nx), dtype=np.bool_)
@@ -171,8 +176,9 @@ def _corners(xy, ring_offsets, r0, r1):
         while count - begin > 2 and _is_idle(x, y, count - 1, begin, begin + 1):
             # the ring was begun at the tip of a spike
             count -= 1
-            x[begin] = x[count]
-            y[begin] = y[count]
+            for i in range(begin, count):
+                x[i] = x[i + 1]
+                y[i] = y[i + 1]
             count = _without_last(x, y, begin, count, x[begin], y[begin])
         if count - begin < 3:
             count = begin
@@ -218,25 +224,27 @@ def _is_idle(x, y, a, b, c):
 def _samples(cx, cy, corner_offsets, step):
     """Sample every edge, its ends included.
 
-    Edge i of the polygon runs from corner i to corner ``other[i]``. A sample stands for the edges `first` and
-    `second`, the latter -1 but at corners. Pieces between samples run from ``ea`` to ``eb`` on edge ``es``.
+    Row i of `edges` is the start of an edge of the polygon, the vector along it and one over its length squared. A
+    sample stands for the edges in its row of `features`, the second -1 but at corners. Pieces between samples run
+    from ``ea`` to ``eb`` on edge ``es``.
     """
     corners = len(cx)
-    other = np.empty(corners, dtype=np.int64)
+    edges = np.empty((corners, 5))
     pieces = np.empty(corners, dtype=np.int64)
     total = 0
     for ring in range(len(corner_offsets) - 1):
         a, b = corner_offsets[ring], corner_offsets[ring + 1]
         for i in range(a, b):
-            other[i] = i + 1 if i + 1 < b else a
-            length = math.hypot(cx[other[i]] - cx[i], cy[other[i]] - cy[i])
-            pieces[i] = max(1, math.ceil(length / step - STEP_SLACK))
+            j = i + 1 if i + 1 < b else a
+            dx, dy = cx[j] - cx[i], cy[j] - cy[i]
+            square = dx * dx + dy * dy
+            edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3], edges[i, 4] = cx[i], cy[i], dx, dy, 1.0 / square
+            pieces[i] = max(1, math.ceil(math.sqrt(square) / step - STEP_SLACK))
             total += pieces[i]
     room = 2 * total + 256
     x = np.empty(room)
     y = np.empty(room)
-    first = np.empty(room, dtype=np.int32)
-    second = np.empty(room, dtype=np.int32)
+    features = np.empty((room, 2), dtype=np.int32)
     ea = np.empty(room, dtype=np.int32)
     eb = np.empty(room, dtype=np.int32)
     es = np.empty(room, dtype=np.int32)
@@ -246,30 +254,30 @@ def _samples(cx, cy, corner_offsets, step):
         a, b = corner_offsets[ring], corner_offsets[ring + 1]
         begin = n
         for i in range(a, b):
-            dx, dy = cx[other[i]] - cx[i], cy[other[i]] - cy[i]
+            dx, dy = edges[i, 2], edges[i, 3]
             for k in range(pieces[i]):
                 x[n] = snapped(cx[i] + dx * k / pieces[i])
                 y[n] = snapped(cy[i] + dy * k / pieces[i])
-                first[n] = i
-                second[n] = -1
+                features[n, 0] = i
+                features[n, 1] = -1
                 if k == 0:
-                    second[n] = i - 1 if i > a else b - 1
+                    features[n, 1] = i - 1 if i > a else b - 1
                 ea[n] = n
                 eb[n] = n + 1
                 es[n] = i
                 n += 1
         eb[n - 1] = begin
         ring_starts[ring + 1] = n
-    return n, x, y, first, second, ea, eb, es, n, ring_starts, other
+    return n, x, y, features, ea, eb, es, n, ring_starts, edges
 
 
 @njit(cache=True, nogil=True)
-def _triangulated(x, y, sampled, first, second, ea, eb, es, edge_count, ring_starts):
+def _triangulated(x, y, sampled, features, ea, eb, es, edge_count, ring_starts):
     """Triangulate the samples and split pieces of the boundary until all are edges and none is encroached upon."""
     room = len(x)
     ghost = room - 1
-    origin = np.empty(6 * room, dtype=np.int32)
-    twin = np.empty(6 * room, dtype=np.int32)
+    origin = np.empty(8 * room, dtype=np.int32)
+    twin = np.empty(8 * room, dtype=np.int32)
     start = np.full(room, -1, dtype=np.int32)
     stack = np.empty(2 * room + 8, dtype=np.int32)
     edge_at = np.full(room, -1, dtype=np.int32)
@@ -334,15 +342,15 @@ def _triangulated(x, y, sampled, first, second, ea, eb, es, edge_count, ring_sta
                 continue
             # pieces at corners end on circles about them, so that the two sides of a sharp corner are split alike
             share = 0.5
-            if (second[u] >= 0) != (second[w] >= 0):
+            if (features[u, 1] >= 0) != (features[w, 1] >= 0):
                 share = 2.0 ** round(math.log2(length / 2)) / length
-                if second[w] >= 0:
+                if features[w, 1] >= 0:
                     share = 1.0 - share
             m = vertices
             x[m] = snapped(x[u] + share * (x[w] - x[u]))
             y[m] = snapped(y[u] + share * (y[w] - y[u]))
-            first[m] = es[e]
-            second[m] = -1
+            features[m, 0] = es[e]
+            features[m, 1] = -1
             vertices += 1
             ea[edge_count] = m
             eb[edge_count] = w
@@ -378,17 +386,17 @@ def _insert(x, y, p, near, ghost, origin, twin, start, count, stack, same):
 
 
 @njit(cache=True, nogil=True)
-def _dual(x, y, first, second, es, edge_count, edge_at, vertices, triangles, origin, twin, cx, cy, other):
+def _dual(x, y, features, es, edge_count, edge_at, vertices, triangles, origin, twin, edges):
     """Make the graph of the triangles inside: positions, radii and links."""
     ghost = len(x) - 1
-    segment = np.full(3 * triangles, -1, dtype=np.int32)
+    segment = np.full(4 * triangles, -1, dtype=np.int32)
     for e in range(edge_count):
         segment[edge_at[e]] = es[e]
     node_of = np.full(triangles, -1, dtype=np.int32)
     members = np.empty(triangles, dtype=np.int32)
     count = 0
     for e in range(edge_count):
-        t = edge_at[e] // 3
+        t = edge_at[e] // 4
         if node_of[t] < 0:
             node_of[t] = count
             members[count] = t
@@ -397,20 +405,20 @@ def _dual(x, y, first, second, es, edge_count, edge_at, vertices, triangles, ori
     while visited < count:
         t = members[visited]
         visited += 1
-        for h in range(3 * t, 3 * t + 3):
+        for h in range(4 * t, 4 * t + 3):
             if origin[h] == ghost:
                 return FAILED, x, x, x, node_of
-            if segment[h] < 0 and node_of[twin[h] // 3] < 0:
-                node_of[twin[h] // 3] = count
-                members[count] = twin[h] // 3
+            if segment[h] < 0 and node_of[twin[h] // 4] < 0:
+                node_of[twin[h] // 4] = count
+                members[count] = twin[h] // 4
                 count += 1
-    east, north = cx.max(), cy.max()
+    east, north = edges[:, 0].max(), edges[:, 1].max()
     nx = np.empty(count)
     ny = np.empty(count)
     nr = np.empty(count)
     links = np.full(3 * count, -1, dtype=np.int32)
     for i in range(count):
-        h = 3 * members[i]
+        h = 4 * members[i]
         bounded = 0
         edge = h
         inner = h
@@ -420,45 +428,68 @@ def _dual(x, y, first, second, es, edge_count, edge_at, vertices, triangles, ori
                 edge = h + k
             else:
                 inner = h + k
-                links[3 * i + k] = node_of[twin[h + k] // 3]
+                links[3 * i + k] = node_of[twin[h + k] // 4]
         if bounded == 2:
             tip = origin[previous(inner)]
             nx[i], ny[i], nr[i] = x[tip], y[tip], 0.0
         else:
-            nx[i], ny[i], nr[i] = _centre(
-                x, y, origin, edge, bounded, segment, first, second, cx, cy, other, east, north
-            )
+            nx[i], ny[i], nr[i] = _centre(x, y, origin, edge, bounded, segment, features, edges, east, north)
+    for i in range(count):
+        if links[3 * i] >= 0 and links[3 * i + 1] >= 0 and links[3 * i + 2] >= 0:
+            _draw_in(i, 4 * members[i], nx, ny, nr, links, origin, features, edges)
     return FOUND, nx, ny, nr, links
 
 
 @njit(cache=True, nogil=True)
-def _to_edge(px, py, i, cx, cy, other):
-    """Return the vector from the nearest point of edge i to a point."""
-    ax, ay = cx[i], cy[i]
-    dx, dy = cx[other[i]] - ax, cy[other[i]] - ay
-    t = ((px - ax) * dx + (py - ay) * dy) / (dx * dx + dy * dy)
-    t = max(0.0, min(1.0, t))
-    return px - ax - t * dx, py - ay - t * dy
+def _draw_in(i, h, nx, ny, nr, links, origin, features, edges):
+    """Move nodes that lie beyond a junction, nearer to its third edge than to their own two, into the junction."""
+    for k in range(3):
+        before, j = i, links[3 * i + k]
+        while True:
+            onward = -1
+            degree = 0
+            for m in range(3 * j, 3 * j + 3):
+                if links[m] >= 0:
+                    degree += 1
+                    if links[m] != before:
+                        onward = links[m]
+            if degree != 2:
+                break
+            nearest = np.inf
+            for m in range(h, h + 3):
+                apart, _, _, _ = _to_feature(nx[j], ny[j], origin[m], features, edges)
+                nearest = min(nearest, apart)
+            if nearest >= nr[j] - SAME_POINT_M:
+                break
+            nx[j], ny[j], nr[j] = nx[i], ny[i], nr[i]
+            before, j = j, onward
 
 
 @njit(cache=True, nogil=True)
-def _to_feature(px, py, v, first, second, cx, cy, other):
+def _to_edge(px, py, i, edges):
+    """Return the vector from the nearest point of edge i to a point, and its length."""
+    ux, uy, dx, dy = px - edges[i, 0], py - edges[i, 1], edges[i, 2], edges[i, 3]
+    t = max(0.0, min(1.0, (ux * dx + uy * dy) * edges[i, 4]))
+    ux, uy = ux - t * dx, uy - t * dy
+    return ux, uy, math.sqrt(ux * ux + uy * uy)
+
+
+@njit(cache=True, nogil=True)
+def _to_feature(px, py, v, features, edges):
     """Return distance and direction from what a sample stands for to a point, and the nearer edge's number."""
-    edge = first[v]
-    ux, uy = _to_edge(px, py, edge, cx, cy, other)
-    apart = math.sqrt(ux * ux + uy * uy)
-    if second[v] >= 0:
-        wx, wy = _to_edge(px, py, second[v], cx, cy, other)
-        alternative = math.sqrt(wx * wx + wy * wy)
+    edge = features[v, 0]
+    ux, uy, apart = _to_edge(px, py, edge, edges)
+    if features[v, 1] >= 0:
+        wx, wy, alternative = _to_edge(px, py, features[v, 1], edges)
         if alternative < apart:
-            ux, uy, apart, edge = wx, wy, alternative, second[v]
+            ux, uy, apart, edge = wx, wy, alternative, features[v, 1]
     if apart > 0.0:
         return apart, ux / apart, uy / apart, edge
     return 0.0, 0.0, 0.0, edge
 
 
 @njit(cache=True, nogil=True)
-def _centre(x, y, origin, edge, bounded, segment, first, second, cx, cy, other, east, north):
+def _centre(x, y, origin, edge, bounded, segment, features, edges, east, north):
     """Return where a triangle's node lies: equally far from its samples' edges, near the circumcentre."""
     a, b, c = origin[edge], origin[following(edge)], origin[previous(edge)]
     bx, by = x[b] - x[a], y[b] - y[a]
@@ -468,58 +499,85 @@ def _centre(x, y, origin, edge, bounded, segment, first, second, cx, cy, other, 
     ox, oy = (dy * b2 - by * d2) / twice, (bx * d2 - dx * b2) / twice
     radius = math.sqrt(ox * ox + oy * oy)
     ox, oy = ox + x[a], oy + y[a]
-    if bounded == 1 and (bx - dx) * -dx + (by - dy) * -dy < 0.0:
-        # too narrow to be sampled finely enough: half way from the third sample to the edge opposite
-        ux, uy = _to_edge(x[c], y[c], segment[edge], cx, cy, other)
-        ox, oy = x[c] - ux / 2, y[c] - uy / 2
-        radius = math.hypot(ux, uy) / 2
-    elif not (0.0 <= ox <= east and 0.0 <= oy <= north):
-        ox, oy = (x[a] + x[b] + x[c]) / 3, (y[a] + y[b] + y[c]) / 3
-    reach = 0.25 * radius
     if bounded == 3:
         return ox, oy, radius
+    if bounded == 0:
+        if not (0.0 <= ox <= east and 0.0 <= oy <= north):
+            ox, oy = (x[a] + x[b] + x[c]) / 3, (y[a] + y[b] + y[c]) / 3
+        found, px, py, radius = _meeting_of_three(ox, oy, 0.25 * radius, a, b, c, features, edges)
+        if found:
+            return px, py, radius
+        _, ax, ay, edge_a = _to_feature(ox, oy, a, features, edges)
+        _, bx, by, edge_b = _to_feature(ox, oy, b, features, edges)
+        _, cx, cy, _ = _to_feature(ox, oy, c, features, edges)
+        ab = (ax - bx) ** 2 + (ay - by) ** 2
+        bc = (bx - cx) ** 2 + (by - cy) ** 2
+        ca = (cx - ax) ** 2 + (cy - ay) ** 2
+        if bc >= ab and bc >= ca:
+            px, py, _ = _middle_of_two(ox, oy, 0.25 * radius, edge_b, c, features, edges)
+        else:
+            px, py, _ = _middle_of_two(ox, oy, 0.25 * radius, edge_a, b if ab >= ca else c, features, edges)
+        radius, _, _, _ = _to_feature(px, py, a, features, edges)
+        other, _, _, _ = _to_feature(px, py, b, features, edges)
+        third, _, _, _ = _to_feature(px, py, c, features, edges)
+        return px, py, min(radius, other, third)
+    if dx * (dx - bx) + dy * (dy - by) < 0.0:
+        # too narrow to be sampled finely enough: half way from the third sample to the edge opposite
+        ux, uy, width = _to_edge(x[c], y[c], segment[edge], edges)
+        ox, oy, radius = x[c] - ux / 2, y[c] - uy / 2, width / 2
+    return _middle_of_two(ox, oy, 0.25 * radius, segment[edge], c, features, edges)
+
+
+@njit(cache=True, nogil=True)
+def _middle_of_two(ox, oy, reach, edge, sample, features, edges):
+    """Move a point to where it is as far from an edge as from what a sample stands for (Newton).
+
+    A point that would have to move farther than `reach` stays where it is.
+    """
     px, py = ox, oy
-    corner = bounded == 0
-    step = 0
-    while step < 5:
-        step += 1
-        ra, ax, ay, sa = _to_feature(px, py, a, first, second, cx, cy, other)
-        rc, ex, ey, sc = _to_feature(px, py, c, first, second, cx, cy, other)
-        if bounded == 1:
-            sa = segment[edge]
-            ax, ay = _to_edge(px, py, sa, cx, cy, other)
-            ra = math.sqrt(ax * ax + ay * ay)
-            if ra > 0.0:
-                ax, ay = ax / ra, ay / ra
-            rb, fx, fy, sb = ra, ax, ay, sa
-        else:
-            rb, fx, fy, sb = _to_feature(px, py, b, first, second, cx, cy, other)
-        # differences of distances to be made 0, with their gradients
-        g1, g1x, g1y = ra - rc, ax - ex, ay - ey
-        g2, g2x, g2y = ra - rb, ax - fx, ay - fy
-        n1, n2 = g1x * g1x + g1y * g1y, g2x * g2x + g2y * g2y
-        determinant = g1x * g2y - g1y * g2x
-        if corner and sa != sb and sb != sc and sa != sc and determinant * determinant > SMALL * n1 * n2:
-            mx, my = (g2y * g1 - g1y * g2) / determinant, (g1x * g2 - g2x * g1) / determinant
-        else:
-            if n2 > n1:
-                g1, g1x, g1y, n1 = g2, g2x, g2y, n2
-            if n1 < SMALL:
-                break
-            mx, my = g1 * g1x / n1, g1 * g1y / n1
-        px -= mx
-        py -= my
-        if math.hypot(px - ox, py - oy) > reach:
-            # not the place that the three meet at: keep to the bisector of two of them, or to the circumcentre
-            px, py = ox, oy
-            if not corner:
-                break
-            corner = False
-            step = 0
-        elif abs(mx) + abs(my) < 1e-9:
+    for _ in range(5):
+        ux, uy, apart = _to_edge(px, py, edge, edges)
+        if apart == 0.0:
             break
-    ra, _, _, _ = _to_feature(px, py, a, first, second, cx, cy, other)
-    return px, py, ra
+        ux, uy = ux / apart, uy / apart
+        other, wx, wy, _ = _to_feature(px, py, sample, features, edges)
+        gap, gx, gy = apart - other, ux - wx, uy - wy
+        slope = gx * gx + gy * gy
+        if slope < SMALL:
+            break
+        move = gap / slope
+        px, py = px - move * gx, py - move * gy
+        if (px - ox) ** 2 + (py - oy) ** 2 > reach * reach:
+            px, py = ox, oy
+            break
+        if abs(gap) < CLOSE_M:
+            break
+    _, _, apart = _to_edge(px, py, edge, edges)
+    return px, py, apart
+
+
+@njit(cache=True, nogil=True)
+def _meeting_of_three(ox, oy, reach, a, b, c, features, edges):
+    """Move a point to where it is as far from what each of three samples stands for (Newton), if there is one near."""
+    px, py = ox, oy
+    for _ in range(5):
+        ra, ax, ay, sa = _to_feature(px, py, a, features, edges)
+        rb, bx, by, sb = _to_feature(px, py, b, features, edges)
+        rc, cx, cy, sc = _to_feature(px, py, c, features, edges)
+        if sa in (sb, sc) or sb == sc:
+            break
+        g1, g1x, g1y = ra - rc, ax - cx, ay - cy
+        g2, g2x, g2y = ra - rb, ax - bx, ay - by
+        determinant = g1x * g2y - g1y * g2x
+        if determinant * determinant <= SMALL * (g1x * g1x + g1y * g1y) * (g2x * g2x + g2y * g2y):
+            break
+        px -= (g2y * g1 - g1y * g2) / determinant
+        py -= (g1x * g2 - g2x * g1) / determinant
+        if (px - ox) ** 2 + (py - oy) ** 2 > reach * reach:
+            break
+        if abs(g1) + abs(g2) < CLOSE_M:
+            return True, px, py, ra
+    return False, ox, oy, 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -670,7 +728,10 @@ def _chains(nx, ny, nr, links, alive):
                 i = best[i]
             if ring:
                 points = _append(px, py, pr, begin, points, nx, ny, nr, head[h])
-            if parent[head[h]] < 0 and _order(px[points - 1], py[points - 1]) < _order(px[begin], py[begin]):
+            one, other = begin, points - 1
+            if ring and other - one > 2:
+                one, other = one + 1, other - 1
+            if parent[head[h]] < 0 and _order(px[other], py[other]) < _order(px[one], py[one]):
                 px[begin:points] = px[begin:points][::-1].copy()
                 py[begin:points] = py[begin:points][::-1].copy()
                 pr[begin:points] = pr[begin:points][::-1].copy()

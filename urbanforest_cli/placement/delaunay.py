@@ -1,7 +1,7 @@
 """Delaunay triangulation of points on a fine grid, by incremental insertion with predicates that do not err.
 
-Half-edges live in flat arrays: half-edge ``3 t + k`` of triangle ``t`` starts at ``origin[3 t + k]`` and lies opposite
-``twin[3 t + k]`` of the neighbour. Triangles run counter-clockwise. The outside is filled with ghost triangles that
+Half-edges live in flat arrays: half-edge ``4 t + k``, k = 0, 1, 2, of triangle ``t`` starts at ``origin[4 t + k]`` and lies
+opposite ``twin[4 t + k]`` of the neighbour; the fourth place is not used, so that bits tell a half-edge's triangle. Triangles run counter-clockwise. The outside is filled with ghost triangles that
 share a vertex at infinity, numbered like the first vertex after the last, so that every half-edge has a twin.
 
 Coordinates must be multiples of `GRID_M` below 2**20 m: then differences are exact, the orientation test is exact,
@@ -108,13 +108,13 @@ def _lifted_minor(ax, ay, bx, by, cx, cy):
 @njit(cache=True, nogil=True, inline="always")
 def following(half_edge):
     """Return the next half-edge around the triangle."""
-    return half_edge - 2 if half_edge % 3 == 2 else half_edge + 1
+    return half_edge - 2 if half_edge & 3 == 2 else half_edge + 1
 
 
 @njit(cache=True, nogil=True, inline="always")
 def previous(half_edge):
     """Return the half-edge before around the triangle."""
-    return half_edge + 2 if half_edge % 3 == 0 else half_edge - 1
+    return half_edge + 2 if half_edge & 3 == 0 else half_edge - 1
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -145,13 +145,13 @@ def start_triangulation(x, y, a, b, c, ghost, origin, twin, start):
         u, w = corners[k], corners[(k + 1) % 3]
         origin[k] = u
         start[u] = k
-        outer = 3 * (k + 1)
+        outer = 4 * (k + 1)
         origin[outer] = w
         origin[outer + 1] = u
         origin[outer + 2] = ghost
         _pair(twin, k, outer)
-        _pair(twin, outer + 1, 3 * ((k + 2) % 3 + 1) + 2)
-    start[ghost] = 5
+        _pair(twin, outer + 1, 4 * ((k + 2) % 3 + 1) + 2)
+    start[ghost] = 6
     return 4
 
 
@@ -162,7 +162,7 @@ def _locate(x, y, p, ghost, origin, twin, hint, count):
     The walk is bounded; where rounding should lead it in circles, every triangle is looked at instead.
     """
     edge = hint
-    triangle = edge - edge % 3
+    triangle = edge & ~3
     for k in range(3):
         if origin[triangle + k] == ghost:
             edge = twin[following(triangle + k)]
@@ -177,12 +177,12 @@ def _locate(x, y, p, ghost, origin, twin, hint, count):
             last += 1
             if last == count:
                 return -1, False
-            edge = 3 * last
+            edge = 4 * last
             if origin[edge] == ghost or origin[edge + 1] == ghost or origin[edge + 2] == ghost:
                 continue
         onto = -1
         beyond = -1
-        triangle = edge - edge % 3
+        triangle = edge & ~3
         for _ in range(tests):
             u, w = origin[edge], origin[following(edge)]
             turn = orientation(x[u], y[u], x[w], y[w], px, py)
@@ -211,7 +211,7 @@ def _locate(x, y, p, ghost, origin, twin, hint, count):
 @njit(cache=True, nogil=True)
 def _conflict(x, y, edge, p, ghost, origin):
     """Tell whether a point lies in the circle of the triangle of a half-edge; a ghost's is a half-plane."""
-    triangle = edge - edge % 3
+    triangle = edge & ~3
     a, b, c = origin[triangle], origin[triangle + 1], origin[triangle + 2]
     if a == ghost:
         return orientation(x[b], y[b], x[c], y[c], x[p], y[p]) > 0
@@ -274,7 +274,7 @@ def insert_point(x, y, p, hint, ghost, origin, twin, start, count, stack):
     e1, e2 = following(e0), previous(e0)
     a, b, c = origin[e0], origin[e1], origin[e2]
     beyond1, beyond2 = twin[e1], twin[e2]
-    t1, t2 = 3 * count, 3 * count + 3
+    t1, t2 = 4 * count, 4 * count + 4
     origin[e2] = p
     origin[t1], origin[t1 + 1], origin[t1 + 2] = b, c, p
     origin[t2], origin[t2 + 1], origin[t2 + 2] = c, a, p

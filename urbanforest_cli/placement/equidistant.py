@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from urbanforest_cli.core.config import Placement
@@ -20,7 +21,11 @@ def equidistant(sites: Sites, settings: Placement) -> Positions:
     twice the smallest radius, which includes the table's 0, is raised to that.
     """
     spacing = np.maximum(sites.values["spacing_m"], 2 * settings.radius_min_m)
-    xy, site = equidistant_positions(medial_axes(sites.lots), spacing)
+    # An axis is at most about half as long as the edge.
+    over = shapely.length(sites.lots) / (2 * spacing) > settings.max_plants_per_lot
+    lots = sites.lots.copy()
+    lots[over] = shapely.Polygon()
+    xy, site = equidistant_positions(medial_axes(lots), spacing)
     number = np.arange(len(site)) - np.searchsorted(site, site)
     inside = inside_by_margin(sites.areas, site, xy)
     xy, site, number = xy[inside], site[inside], number[inside]
@@ -31,7 +36,7 @@ def equidistant(sites: Sites, settings: Placement) -> Positions:
         sites.values["radius_variance_m2"][site],
         settings,
     )
-    return Positions(site, xy, radius)
+    return Positions(site, xy, radius, np.flatnonzero(over))
 
 
 def equidistant_positions(

@@ -11,7 +11,6 @@ import shapely
 from numpy.typing import NDArray
 
 from urbanforest_cli.core.config import Placement
-from urbanforest_cli.core.errors import LimitError
 from urbanforest_cli.core.randomness import hash_uniform
 from urbanforest_cli.placement.inside import inside_by_margin
 from urbanforest_cli.placement.lattice_kernel import cells_of_strips, frames_of_lots, rows_and_columns
@@ -33,27 +32,14 @@ class LatticePoints:
 
 
 def regular(sites: Sites, settings: Placement) -> Positions:
-    """Set a plant in each cell of a lattice along the lot, kept where there is ground for it.
-
-    Raises
-    ------
-    LimitError
-        The cells are so small that a lot would hold more plants than the config allows.
-    """
+    """Set a plant in each cell of a lattice along the lot, kept where there is ground for it."""
     cell = sites.values["grid_size_m"]
-    expected = shapely.area(sites.areas) / cell**2
-    if np.any(expected > settings.max_plants_per_lot):
-        worst = int(np.argmax(expected))
-        raise LimitError(
-            "the lattice has more cells in this lot than plants are allowed",
-            where=f"lot {sites.lot_ids[worst]}",
-            found=f"about {expected[worst]:.0f} cells of {cell[worst]:g} m",
-            expected=f"at most {settings.max_plants_per_lot} (placement.max_plants_per_lot)",
-            next_step="choose a larger grid_size_m for this lot, or raise the limit",
-        )
+    over = shapely.area(sites.areas) / cell**2 > settings.max_plants_per_lot
+    areas = sites.areas.copy()
+    areas[over] = shapely.Polygon()
     points = lattice_positions(
         sites.lots,
-        sites.areas,
+        areas,
         cell,
         sites.values["grid_orientation_deg"],
         sites.values["grid_jitter"],
@@ -67,7 +53,7 @@ def regular(sites: Sites, settings: Placement) -> Positions:
         sites.values["radius_variance_m2"][points.site],
         settings,
     )
-    return Positions(points.site, points.xy, radius)
+    return Positions(points.site, points.xy, radius, np.flatnonzero(over))
 
 
 def lattice_positions(

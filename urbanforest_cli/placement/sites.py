@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,11 +53,14 @@ class Positions:
         (n, 2) float64 easting and northing in metres.
     radius_m
         (n,) float64 radius of each plant's envelope.
+    refused
+        Indices of the lots that would hold more plants than the config allows, and got none.
     """
 
     site: NDArray[np.int64]
     xy: NDArray[np.float64]
     radius_m: NDArray[np.float64]
+    refused: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __len__(self) -> int:
         return len(self.site)

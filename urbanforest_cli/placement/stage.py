@@ -71,8 +71,8 @@ def place_plants(
     ------
     SchemaError
         A layer is missing or breaks its requirements; the text names the command that writes it.
-    LimitError
-        A lot would hold more plants than the config allows.
+    ConfigError
+        A lot asks for more species than the city has.
     """
     started = time.perf_counter()
     records = read_records(register)
@@ -98,6 +98,15 @@ def place_plants(
         "lots_skipped": len(skipped),
         "lots_reused": int(len(city.lot_ids) - todo.sum()),
     }
+    notices = Notices()
+    refused = placements.loc[placements["outcome"] == "too_many_plants", "lot_id"]
+    notices.add(
+        "W_TOO_MANY_PLANTS",
+        f"lots that would hold more than {config.placement.max_plants_per_lot:,} plants, skipped "
+        "(split them, or raise placement.max_plants_per_lot)",
+        len(refused),
+        refused,
+    )
     record = Record(
         stage=STAGE,
         seed=seed,
@@ -106,6 +115,7 @@ def place_plants(
         config=config.model_dump(mode="json", exclude_none=True),
         inputs=[{"name": before.stage, "sha256": before.stage_key}],
         counts={name: count for name, count in counts.items() if name != "lots_reused"},
+        notices=notices,
     )
     write_layers(
         register,
@@ -116,7 +126,7 @@ def place_plants(
             "provenance": provenance_frame(register, record, drop=("grow",)),
         },
     )
-    return StageSummary(STAGE, register, counts, Notices(), time.perf_counter() - started)
+    return StageSummary(STAGE, register, counts, notices, time.perf_counter() - started)
 
 
 @dataclass
@@ -200,6 +210,7 @@ class _Placed:
     position_count: NDArray[np.int64]
     radius_mean_m: NDArray[np.float64]
     radius_variance_m2: NDArray[np.float64]
+    refused: NDArray[np.bool_]
 
 
 def _batches(city: _City, todo: NDArray[np.int64]) -> Iterator[tuple[str, NDArray[np.int64]]]:
@@ -231,7 +242,7 @@ def _place(
             values={parameter: column[chosen] for parameter, column in city.values.items()},
         )
         found = strategy_named(name)(sites, settings)
-        return Positions(chosen[found.site], found.xy, found.radius_m)
+        return Positions(chosen[found.site], found.xy, found.radius_m, chosen[found.refused])
 
     if settings.conflict == "city":
         every = Sites(lot_ids=city.lot_ids, keys=keys, lots=city.lots, areas=city.areas, values=city.values)
@@ -271,7 +282,9 @@ def _planted(city: _City, found: list[Positions], config: Config, seed: int, cat
         catalogue,
         dominant=config.species.dominant,
     )
-    return _Placed(site, number, xy, radius, seeds, position_count, mean, variance)
+    refused = np.zeros(count, dtype=bool)
+    refused[np.concatenate([np.zeros(0, dtype=np.int64), *(positions.refused for positions in found)])] = True
+    return _Placed(site, number, xy, radius, seeds, position_count, mean, variance, refused)
 
 
 def _frames(
@@ -297,9 +310,15 @@ def _frames(
     )
     plant_count = np.bincount(placed.lot, minlength=len(city.lot_ids))
     dominant = np.where(plant_count > 0, names[placed.seeds.dominant], None)
+    outcome = np.select(
+        [placed.refused, placed.position_count == 0, plant_count == 0],
+        ["too_many_plants", "no_position", "thinned"],
+        "planted",
+    ).astype(object)
     placements = pd.DataFrame(
         {
             "lot_id": city.lot_ids[todo],
+            "outcome": outcome[todo],
             "position_count": placed.position_count[todo],
             "plant_count": plant_count[todo],
             "radius_mean_m": placed.radius_mean_m[todo],
@@ -349,8 +368,8 @@ def _joined(
 
 def _skipped(register: Path, placements: pd.DataFrame) -> pd.DataFrame:
     before = read_layer(register, "skipped", geometry=False)
-    bare = placements[placements["plant_count"] == 0]
-    reason = np.where(bare["position_count"] == 0, "no_position", "thinned")
+    bare = placements[placements["outcome"] != "planted"]
+    reason = bare["outcome"].to_numpy(dtype=object)
     rows = pd.DataFrame(
         {
             "lot_id": bare["lot_id"].to_numpy(dtype=object),

@@ -16,7 +16,7 @@ import shapely
 from numpy.typing import NDArray
 
 from urbanforest_cli.core.config import Placement
-from urbanforest_cli.core.errors import ConfigError, LimitError
+from urbanforest_cli.core.errors import ConfigError
 from urbanforest_cli.core.params import ENTRY_POINT_GROUP, strategy_names
 from urbanforest_cli.core.randomness import hash_uniform, rng_from_key
 from urbanforest_cli.placement.equidistant import equidistant
@@ -49,17 +49,7 @@ def random(sites: Sites, settings: Placement) -> Positions:
         fixed_radius_m=sites.fixed_radius_m,
         fixed_offsets=sites.fixed_offsets,
     )
-    refused = sample.state == SampleState.REFUSED
-    if refused.any():
-        raise LimitError(
-            "a lot would hold more plants than is allowed",
-            where=f"lot {sites.lot_ids[refused][0]}",
-            found=f"{shapely.area(sites.areas[refused][0]):,.0f} m2 for plants of radius "
-            f"{sites.values['radius_mean_m'][refused][0]:g} m; {int(refused.sum())} such lots in this batch",
-            expected=f"at most {settings.max_plants_per_lot:,} plants",
-            next_step="split the lot, or raise placement.max_plants_per_lot",
-        )
-    return Positions(sample.site, sample.xy, sample.radius_m)
+    return Positions(sample.site, sample.xy, sample.radius_m, np.flatnonzero(sample.state == SampleState.REFUSED))
 
 
 def boundary(sites: Sites, settings: Placement) -> Positions:

@@ -18,7 +18,7 @@ from urbanforest_cli.core.notices import Notices
 
 VERTEX_CAP = 20_000
 VERTEX_LIMIT = 2_000_000
-EXTENT_LIMIT_M = 100_000.0
+EXTENT_LIMIT_M = 500_000.0
 STRAY_LIMIT_M = 500_000.0
 FIRST_TOLERANCE_M = 0.02
 LAST_TOLERANCE_M = 5.0
@@ -75,7 +75,7 @@ def first_look(
     labels = np.asarray(names, dtype=object)
     counts = shapely.get_num_coordinates(shapes)
     _refuse_huge(counts, labels, what)
-    flat = np.asarray(shapely.force_2d(np.asarray(shapes, dtype=object)), dtype=object)
+    flat = flat_copy(shapes)
     checked = Checked(flat, np.full(len(flat), "", object), np.full(len(flat), "", object))
     empty = shapely.is_empty(checked.shapes)
     missing = shapely.is_missing(checked.shapes)
@@ -96,6 +96,14 @@ def first_look(
     checked.drop(broken, "not_finite", "a coordinate is not a number or infinite")
     notices.add("W_NOT_FINITE", f"{what} with a coordinate that is no number", int(broken.sum()), labels[broken])
     return checked
+
+
+def flat_copy(shapes: Shapes) -> Shapes:
+    """Return a copy of an array whose shapes have no heights."""
+    flat: Shapes = np.array(shapes, dtype=object)
+    high = shapely.has_z(flat)
+    flat[high] = shapely.force_2d(flat[high])
+    return flat
 
 
 def _refuse_huge(counts: NDArray[np.integer], labels: NDArray[Any], what: str) -> None:
@@ -179,7 +187,7 @@ def repair(checked: Checked, names: Names, notices: Notices, *, what: str = "lot
     Raises
     ------
     LimitError
-        A shape is longer than 100 km.
+        A shape is longer than 500 km.
     """
     labels = np.asarray(names, dtype=object)
     broken = ~finite(checked.shapes)

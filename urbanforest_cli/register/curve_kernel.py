@@ -47,14 +47,15 @@ def all_crossings(
     """List where curves cross, as metres along each; -1 where there is no room for so many."""
     found = 0
     at = np.empty((4, 2))
-    for i in range(count):
-        for j in range(max(i + 1, lot_curves), count):
-            if (
-                box[i, 0] > box[j, 2] + SAME_M
-                or box[j, 0] > box[i, 2] + SAME_M
-                or box[i, 1] > box[j, 3] + SAME_M
-                or box[j, 1] > box[i, 3] + SAME_M
-            ):
+    order = np.argsort(box[:count, 0])
+    for one in range(count):
+        for two in range(one + 1, count):
+            i, j = order[one], order[two]
+            if box[j, 0] > box[i, 2] + SAME_M:
+                break
+            if i > j:
+                i, j = j, i
+            if j < lot_curves or box[i, 1] > box[j, 3] + SAME_M or box[j, 1] > box[i, 3] + SAME_M:
                 continue
             if kind[i] == 0 and kind[j] == 0:
                 n = _segments(curve[i], curve[j], at)

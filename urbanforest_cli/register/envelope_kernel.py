@@ -59,7 +59,7 @@ def lots_less_envelopes(
         Coordinates of closed rings with the inside on their left, where each ring begins (and the last ends), and
         where the rings of each lot begin.
     thing_xy, thing_rings, thing_offsets
-        The same of the things to keep away from.
+        The same of the things to keep away from; a point is a ring of one position.
     thing_box
         Their bounds.
     clearance
@@ -184,6 +184,16 @@ def _add_envelope(
 ) -> int:  # fmt: skip
     """Add walls moved outward and arcs around outer corners, those that come near the lot; -1 if that is impossible."""
     edges = last - 1 - first
+    if edges == 0:
+        x, y = xy[first, 0] - west, xy[first, 1] - south
+        if count >= MOST_CURVES:
+            return -1
+        if radius > 0.0 and -radius <= x <= width + radius and -radius <= y <= height + radius:
+            curve[count, 0], curve[count, 1], curve[count, 2] = x, y, radius
+            curve[count, 3], curve[count, 4] = 0.0, 2 * math.pi
+            kind[count], owner[count] = 1, thing
+            count += 1
+        return count
     previous = -1
     for k in range(edges - 1, -1, -1):
         if xy[first + k, 0] != xy[first + k + 1, 0] or xy[first + k, 1] != xy[first + k + 1, 1]:
@@ -288,8 +298,6 @@ def _is_edge(
     Where curves coincide, one of them stands for all: the lot's edge, else the first thing's; but none does where
     another envelope begins on the side of what is left.
     """
-    if owner >= 0 and _distance(x, y, lot_xy, lot_rings, ring_first, ring_last, 0.0, west, south) > -SAME_M:
-        return False
     for thing in near:
         reach = clearance[thing]
         if thing == owner and reach == 0.0:
@@ -312,7 +320,7 @@ def _is_edge(
             )
             if beside < reach or 0 <= thing < owner:
                 return False
-    return True
+    return owner < 0 or _distance(x, y, lot_xy, lot_rings, ring_first, ring_last, 0.0, west, south) < -SAME_M
 
 
 @njit(cache=True, nogil=True)
@@ -325,6 +333,9 @@ def _distance(
     limit = limit * limit if limit > 0.0 else -1.0
     inside = False
     for ring in range(first, last):
+        if rings[ring + 1] - rings[ring] == 1:
+            px, py = x - (xy[rings[ring], 0] - west), y - (xy[rings[ring], 1] - south)
+            least = min(least, px * px + py * py)
         for i in range(rings[ring], rings[ring + 1] - 1):
             px, py = x - (xy[i, 0] - west), y - (xy[i, 1] - south)
             dx, dy = xy[i + 1, 0] - xy[i, 0], xy[i + 1, 1] - xy[i, 1]

@@ -33,10 +33,14 @@ ARC_EXCESS_M = 0.008
 WIDEST_STEP = 0.75
 """Half of the widest arc step that GEOS takes, in steps of 90 degrees / quad_segs: it rounds their number, so that a
 corner that turns by just under 1.5 steps gets one."""
+COMPACT_SHARE = 0.2
+"""A lot that fills less of its bounds has many things in them that are not near."""
 OWN_SHARE = 0.01
 """A building belongs to every lot that holds at least this share of it; a party wall on the line makes no owner."""
 SLIVER_M = 0.02
 LOTS_A_CHUNK = 2048
+POLYGON_KINDS = 4
+"""Walls, driveways, entrances and corners come before points in the list of what is near."""
 RESCUE_GRID_M = 1e-6
 
 Shapes = NDArray[Any]
@@ -140,6 +144,7 @@ def plantable_areas(
     rules_of: Callable[[str], Rules],
     *,
     taken: Taken = NOTHING_TAKEN,
+    off_road: NDArray[np.bool_] | None = None,
     workers: int = 1,
     report: Callable[[int, int], None] | None = None,
 ) -> Ground:
@@ -160,6 +165,8 @@ def plantable_areas(
         The rules in force in a zone.
     taken
         Ground that belongs to other units: sketches, street strips, overlapping lots.
+    off_road
+        (n,) lots that leave out all carriageways already, such as strips along them.
     workers
         Threads.
     report
@@ -167,6 +174,7 @@ def plantable_areas(
     """
     areas = np.full(len(lots), None, dtype=object)
     dropped = np.zeros(len(lots), dtype=np.int64)
+    on_road = np.ones(len(lots), dtype=bool) if off_road is None else ~off_road
     groups: dict[str, tuple[Rules, list[str]]] = {}
     for zone in sorted(set(zones)):
         rules = rules_of(zone)
@@ -180,7 +188,7 @@ def plantable_areas(
 
     def work(job: tuple[_Keeper, NDArray[np.int64]]) -> tuple[NDArray[np.int64], Shapes, NDArray[np.int64]]:
         keeper, rows = job
-        left = keeper.leave(lots[rows], taken.within(rows))
+        left = keeper.leave(lots[rows], taken.within(rows), on_road[rows])
         return rows, left.areas, left.dropped_parts
 
     with ThreadPoolExecutor(workers) as pool:
@@ -203,38 +211,48 @@ class _Keeper:
     def __init__(self, rules: Rules, around: Surroundings, bounds: NDArray[np.float64]) -> None:
         self.rules = rules
         lines = shapely.get_dimensions(around.driveways) == 1
+        points_given = shapely.get_type_id(around.obstacles) == 0
+        far_m = obstacle_distances(around.obstacle_kinds, around.obstacle_clearance_m, rules)
         self.near = [
             _Near(around.buildings, rules.building_clearance_m),
             _Near(around.driveways[~lines], rules.driveway_clearance_m),
             _Near(entrance_areas(around.entrances, rules), 0.0),
             _Near(sight_triangles(around.corners, rules.sight_triangle_m), 0.0),
+            *(
+                _Near(around.obstacles[points_given & (far_m == far)], float(far))
+                for far in np.unique(far_m[points_given & (far_m > 0)])
+            ),
         ]
-        self.things = _flat(np.concatenate([near.things for near in self.near]))
+        polygons = [near.things for near in self.near[:POLYGON_KINDS]]
+        points = [near.things for near in self.near[POLYGON_KINDS:]]
+        self.things = _with_points(_flat(np.concatenate(polygons)), np.concatenate([_none(), *points]))
         self.clearance_m = np.concatenate([np.full(len(near.things), near.distance_m) for near in self.near])
         half = rules.driveway_width_m / 2 + rules.driveway_clearance_m
-        self.wide = np.concatenate(
-            [
+        self.roads = _buffered(around.roads, carriageway_reach_m(around.roads, around.road_widths_m, rules), bounds)
+        self.others = np.concatenate(
+            (
                 _buffered(around.driveways[lines], np.full(int(lines.sum()), half), bounds),
-                _buffered(around.roads, carriageway_reach_m(around.roads, around.road_widths_m, rules), bounds),
-                _buffered(
-                    around.obstacles,
-                    obstacle_distances(around.obstacle_kinds, around.obstacle_clearance_m, rules),
-                    bounds,
-                ),
-            ]
+                _buffered(around.obstacles[~points_given], far_m[~points_given], bounds),
+            )
         )
-        self.wide_tree = shapely.STRtree(self.wide)
+        self.road_tree, self.other_tree = shapely.STRtree(self.roads), shapely.STRtree(self.others)
 
-    def leave(self, lots: Shapes, taken: Taken) -> Ground:
-        """Return what these rules leave of some lots."""
+    def leave(self, lots: Shapes, taken: Taken, on_road: NDArray[np.bool_]) -> Ground:
+        """Return what these rules leave of some lots; those not on a road keep off carriageways as they are."""
         ground = self._less_near(lots)
-        row, thing = self.wide_tree.query(ground.areas, predicate="intersects")
-        order = np.lexsort((thing, row))
-        row, thing = row[order], thing[order]
-        there = ~shapely.is_missing(ground.areas[taken.lots])
-        more = np.union1d(row, taken.lots[there])
-        owner = np.searchsorted(more, np.concatenate((row, taken.lots[there])))
-        left = subtract(ground.areas[more], owner, np.concatenate((self.wide[thing], taken.shapes[there])))
+        there = ~shapely.is_missing(ground.areas)
+        mine = there[taken.lots]
+        cuts = [(taken.lots[mine], taken.shapes[mine])]
+        for tree, shapes, rows in (
+            (self.road_tree, self.roads, np.flatnonzero(there & on_road)),
+            (self.other_tree, self.others, np.flatnonzero(there)),
+        ):
+            row, thing = tree.query(ground.areas[rows], predicate="intersects")
+            order = np.lexsort((thing, row))
+            cuts.append((rows[row[order]], shapes[thing[order]]))
+        owner, cutters = (np.concatenate([cut[k] for cut in cuts]) for k in (0, 1))
+        more, place = np.unique(owner, return_inverse=True)
+        left = subtract(ground.areas[more], place, cutters)
         ground.areas[more], dropped = drop_small(left, self.rules.min_area_m2)
         ground.dropped_parts[more] += dropped
         return ground
@@ -243,7 +261,7 @@ class _Keeper:
         pairs = []
         first = 0
         for near in self.near:
-            row, thing = near.pairs(lots, only_own=self._only_own(near))
+            row, thing = near.pairs(lots, only_own=True) if self._only_own(near) else near.candidates(lots)
             pairs.append((row, thing + first))
             first += len(near.things)
         row, thing = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
@@ -255,12 +273,14 @@ class _Keeper:
         areas[some[done]], dropped[some[done]] = _keep_parts(
             parts, np.searchsorted(np.flatnonzero(done), owner), int(done.sum()), self.rules.min_area_m2
         )
-        undone = np.setdiff1d(np.arange(len(lots)), some[done])
+        undone = some[~done]
         left = areas[undone]
         for near in self.near:
             again, shapes = near.around(left, only_own=self._only_own(near))
             left = subtract(left, again, shapes)
-        areas[undone], dropped[undone] = drop_small(left, self.rules.min_area_m2)
+        areas[undone] = left
+        rest = np.setdiff1d(np.arange(len(lots)), some[done])
+        areas[rest], dropped[rest] = drop_small(areas[rest], self.rules.min_area_m2)
         return Ground(areas, dropped)
 
     def _only_own(self, near: _Near) -> bool:
@@ -269,7 +289,7 @@ class _Keeper:
 
 @dataclass(frozen=True)
 class _Flat:
-    """Polygons as arrays: coordinates of rings, the inside on their left; where rings and polygons begin; bounds."""
+    """Polygons and points as arrays: positions of rings, inside on the left; where rings and shapes begin; bounds."""
 
     xy: NDArray[np.float64]
     rings: NDArray[np.int64]
@@ -277,20 +297,32 @@ class _Flat:
     boxes: NDArray[np.float64]
 
 
-def _flat(shapes: Shapes) -> _Flat:
-    parts, part_of = shapely.get_parts(shapes, return_index=True)
-    rings, ring_of = shapely.get_rings(parts, return_index=True)
-    xy, place = shapely.get_coordinates(rings, return_index=True)
-    starts = np.searchsorted(place, np.arange(len(rings) + 1))
-    if len(rings):
-        outer = np.diff(ring_of, prepend=-1) > 0
-        local = xy - xy[starts[:-1]][place]
-        cross = np.append(local[:-1, 0] * local[1:, 1] - local[1:, 0] * local[:-1, 1], 0.0)
-        backward = (np.add.reduceat(cross, starts[:-1]) > 0) != outer
-        here = np.arange(len(xy))
-        xy = xy[np.where(backward[place], (starts[:-1] + starts[1:] - 1)[place] - here, here)]
-    offsets = np.searchsorted(part_of[ring_of], np.arange(len(shapes) + 1))
-    return _Flat(xy, starts, offsets, shapely.bounds(shapes))
+def _flat(polygons: Shapes) -> _Flat:
+    if not len(polygons):
+        return _Flat(np.empty((0, 2)), np.zeros(1, np.int64), np.zeros(1, np.int64), np.empty((0, 4)))
+    kind, xy, starts = shapely.to_ragged_array(polygons, include_z=False)
+    rings, parts = (np.asarray(values, dtype=np.int64) for values in starts[:2])
+    offsets = parts[starts[2]] if kind == shapely.GeometryType.MULTIPOLYGON else parts
+    outer = np.zeros(len(rings) - 1, dtype=bool)
+    outer[parts[:-1]] = True
+    ring = np.repeat(np.arange(len(outer)), np.diff(rings))
+    local = xy - xy[rings[:-1]][ring]
+    cross = np.append(local[:-1, 0] * local[1:, 1] - local[1:, 0] * local[:-1, 1], 0.0)
+    backward = (np.add.reduceat(cross, rings[:-1]) > 0) != outer
+    here = np.arange(len(xy))
+    xy = xy[np.where(backward[ring], (rings[:-1] + rings[1:] - 1)[ring] - here, here)]
+    return _Flat(xy, rings, offsets, shapely.bounds(polygons))
+
+
+def _with_points(polygons: _Flat, points: Shapes) -> _Flat:
+    """Return polygons followed by points, each a ring of one position."""
+    count = np.arange(1, len(points) + 1)
+    return _Flat(
+        np.concatenate((polygons.xy, shapely.get_coordinates(points))),
+        np.concatenate((polygons.rings, polygons.rings[-1] + count)),
+        np.concatenate((polygons.offsets, polygons.offsets[-1] + count)),
+        np.concatenate((polygons.boxes, shapely.bounds(points).reshape(-1, 4))),
+    )
 
 
 def _exactly(
@@ -345,12 +377,24 @@ def _buffered(things: Shapes, distances_m: NDArray[np.float64], bounds: NDArray[
 
 
 class _Near:
-    """Polygons of one clearance and their index."""
+    """Polygons, or points, of one clearance and their index."""
 
     def __init__(self, things: Shapes, distance_m: float) -> None:
-        self.things = np.asarray(shapely.get_parts(things), dtype=object)
+        whole = np.isin(shapely.get_type_id(things), (0, 3)).all()
+        self.things = np.asarray(things if whole else shapely.get_parts(things), dtype=object)
         self.distance_m = distance_m
         self.tree = shapely.STRtree(self.things)
+
+    def candidates(self, lots: Shapes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return lots and things that may be near each other: those whose bounds are, unless the lot is long and thin."""
+        bounds = shapely.bounds(lots)
+        compact = shapely.area(lots) > COMPACT_SHARE * (bounds[:, 2] - bounds[:, 0]) * (bounds[:, 3] - bounds[:, 1])
+        slim, wide = np.flatnonzero(~compact), np.flatnonzero(compact)
+        far = self.distance_m
+        boxes = shapely.box(*(bounds[wide] + [-far, -far, far, far]).T)
+        row, thing = self.tree.query(boxes)
+        slim_row, slim_thing = self.pairs(lots[slim])
+        return np.concatenate((wide[row], slim[slim_row])), np.concatenate((thing, slim_thing))
 
     def pairs(self, lots: Shapes, *, only_own: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return lots and things that are near each other, sorted by both."""
@@ -371,7 +415,7 @@ class _Near:
         rows, place = np.unique(row, return_inverse=True)
         if not len(rows):
             return rows, np.empty(0, dtype=object)
-        joined = np.asarray(shapely.multipolygons(self.things[thing], indices=place), dtype=object)
+        joined = np.asarray(shapely.geometrycollections(self.things[thing], indices=place), dtype=object)
         if self.distance_m == 0:
             return rows, np.asarray(shapely.union_all(joined[:, None], axis=1), dtype=object)
         return rows, outer_buffer(joined, self.distance_m)

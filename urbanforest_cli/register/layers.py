@@ -15,7 +15,7 @@ from urbanforest_cli.core.config import Rules
 from urbanforest_cli.core.errors import InputError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.params import PARAMETERS
-from urbanforest_cli.register.cleaning import first_look, polygons_of, repair
+from urbanforest_cli.register.cleaning import first_look, flat_copy, polygons_of, repair
 from urbanforest_cli.register.envelopes import Surroundings
 from urbanforest_cli.register.rules import Entrances, locate_entrances, road_corners
 from urbanforest_cli.register.streets import Roads
@@ -65,8 +65,8 @@ def polygons_in_metres(frame: gpd.GeoDataFrame, what: str, project: Project, not
 
 def shapes_in_metres(frame: gpd.GeoDataFrame, what: str, project: Project, notices: Notices) -> Shapes:
     """Return a layer's shapes of any kind in metres, None for what cannot be used, which is counted."""
-    shapes = shapely.force_2d(frame.geometry.to_numpy())
-    shapes = np.where(shapely.is_empty(shapes), None, shapes)
+    shapes = flat_copy(frame.geometry.to_numpy())
+    shapes[shapely.is_empty(shapes)] = None
     moved = project(gpd.GeoDataFrame(geometry=shapes, crs=frame.crs))
     lost = ~shapely.is_missing(shapes) & shapely.is_missing(moved)
     notices.add("W_NOT_FINITE", f"{what} with a coordinate that is no number", int(lost.sum()))
@@ -179,7 +179,8 @@ def text(frame: pd.DataFrame, name: str) -> NDArray[np.object_]:
     """Return a column as text, blank where it is missing."""
     if name not in frame:
         return np.full(len(frame), "", dtype=object)
-    return np.array(["" if value is None else str(value).strip() for value in as_text(frame[name])], dtype=object)
+    codes, known = pd.factorize(frame[name])
+    return np.array([*(str(value).strip() for value in known), ""], dtype=object)[codes]
 
 
 def _entrances(frame: gpd.GeoDataFrame | None, project: Project, buildings: Shapes, notices: Notices) -> Entrances:
@@ -189,8 +190,9 @@ def _entrances(frame: gpd.GeoDataFrame | None, project: Project, buildings: Shap
     shapes = shapes_in_metres(frame, "entrances", project, notices)
     there = ~shapely.is_missing(shapes)
     shapes, kinds = shapes[there], text(frame, "kind")[there]
-    windows = np.array([kind.casefold() == "window" for kind in kinds], dtype=bool)
-    unknown = np.array([kind.casefold() not in ("window", "door") for kind in kinds], dtype=bool)
+    codes, known = pd.factorize(kinds)
+    names = np.array([kind.casefold() for kind in known], dtype=object)
+    windows, unknown = (names == "window")[codes], ~np.isin(names, ("window", "door"))[codes]
     notices.add("W_ENTRANCE_KIND", "entrances that are neither door nor window, taken as doors", int(unknown.sum()))
     entrances, on_wall = locate_entrances(shapes, windows, buildings)
     notices.add("W_ENTRANCE_ALONE", "entrances without a wall within 3 m, left out", int((~on_wall).sum()))

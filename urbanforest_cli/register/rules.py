@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import shapely
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
@@ -86,7 +87,7 @@ def locate_entrances(
     tail, head, first, count = _walls(buildings, building)
     owner = np.repeat(np.arange(len(entrance)), count)
     wall = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
-    middle = shapely.get_coordinates(shapely.line_interpolate_point(_as_lines(shapes[entrance]), 0.5, normalized=True))
+    middle = _middles(shapes[entrance])
     away = _distance_to_segments(middle[owner], tail[wall], head[wall])
     best = np.lexsort((away, owner))[np.cumsum(count) - count]
     tail, head = tail[wall[best]], head[wall[best]]
@@ -106,13 +107,15 @@ def locate_entrances(
     return found, on_wall
 
 
-def _as_lines(shapes: Shapes) -> Shapes:
-    """Return lines as they are, and other shapes as a line of no length at their middle."""
-    lines = np.array(shapes, dtype=object)
-    other = shapely.get_type_id(lines) != 1
-    middle = shapely.get_coordinates(shapely.centroid(lines[other]))
-    lines[other] = shapely.linestrings(np.stack((middle, middle), axis=1))
-    return lines
+def _middles(shapes: Shapes) -> Floats:
+    """Return (n, 2) the middles of lines, and the centres of other shapes."""
+    xy = np.empty((len(shapes), 2))
+    points, lines = (shapely.get_type_id(shapes) == kind for kind in (0, 1))
+    others = ~points & ~lines
+    xy[points] = shapely.get_coordinates(shapes[points])
+    xy[lines] = shapely.get_coordinates(shapely.line_interpolate_point(shapes[lines], 0.5, normalized=True))
+    xy[others] = shapely.get_coordinates(shapely.centroid(shapes[others]))
+    return xy
 
 
 def _walls(
@@ -158,7 +161,8 @@ def obstacle_distances(kinds: NDArray[np.object_], own_m: Floats, rules: Rules) 
     """Return how far plants stay from each obstacle: its own distance, else its kind's, else the default."""
     by_kind = {kind.casefold(): distance for kind, distance in rules.obstacle_clearance_m.items()}
     default = by_kind["default"]
-    ruled = np.array([by_kind.get(str(kind).strip().casefold(), default) for kind in kinds], dtype=np.float64)
+    codes, known = pd.factorize(kinds)
+    ruled = np.array([by_kind.get(str(kind).strip().casefold(), default) for kind in known], dtype=np.float64)[codes]
     return np.where(np.isnan(own_m), ruled, own_m)
 
 

@@ -13,7 +13,7 @@ from shapely.errors import GEOSException
 
 from urbanforest_cli.core.config import Rules
 from urbanforest_cli.register.cleaning import id_order
-from urbanforest_cli.register.envelopes import difference, drop_small, outer_buffer
+from urbanforest_cli.register.envelopes import difference, drop_small, outer_buffer, subtract
 from urbanforest_cli.register.rules import NODE_REACH_M, carriageway_reach_m
 
 SAMPLE_STEP_M = 5.0
@@ -124,15 +124,15 @@ def share_in_lots(roads: Shapes, lots: Shapes) -> NDArray[np.float64]:
 def verge_strips(roads: Roads, rules: Rules, lots: Shapes) -> Strips:
     """Return the strips for trees on both sides of roads.
 
-    A strip begins `curb_clearance_m` beyond the curb and is `verge_width_m` wide. It leaves out every carriageway,
-    and strips of roads before it. Where the register cuts roads out of the lots, it stays `sidewalk_width_m` from
-    them; where more than half of a road lies in lots, the lots reach over it, and they give way to the strip and the
-    sidewalk beyond it: the road's corridor.
+    A strip begins `curb_clearance_m` beyond the curb and is `verge_width_m` wide. It leaves out every carriageway;
+    at a corner strips may overlap (`first_come` settles whose ground that is). Where the register cuts roads out of
+    the lots, it stays `sidewalk_width_m` from them; where more than half of a road lies in lots, the lots reach over
+    it, and they give way to the strip and the sidewalk beyond it: the road's corridor.
 
     Parameters
     ----------
     roads
-        As `join_roads` returns them; where strips meet, the first has the ground.
+        As `join_roads` returns them.
     lots
         (n,) valid polygons in metres, None for none.
     """
@@ -145,8 +145,6 @@ def verge_strips(roads: Roads, rules: Rules, lots: Shapes) -> Strips:
     for reach in np.unique(inner):
         same = inner == reach
         carriageways[same] = outer_buffer(roads.shapes[same], float(reach))
-        wide = float(reach) + rules.verge_width_m + rules.sidewalk_width_m
-        corridors[same] = outer_buffer(roads.shapes[same], wide)
         for line in (True, False):
             rows = same & (lines == line)
             strips[rows] = shapely.buffer(
@@ -156,18 +154,18 @@ def verge_strips(roads: Roads, rules: Rules, lots: Shapes) -> Strips:
     covered = share_in_lots(roads.shapes, lots) > COVERED_SHARE
     present = np.asarray(lots)[~shapely.is_missing(lots)]
     strips = _less_lots(strips, present, rules.sidewalk_width_m, ~covered)
-    strips = _less_earlier(strips)
     strips, _ = drop_small(strips, rules.min_area_m2, half_width_m=STRIP_LEAST_M / 2)
-    corridors[~covered | shapely.is_missing(strips)] = None
+    covered &= ~shapely.is_missing(strips)
+    for reach in np.unique(outer[covered]):
+        same = covered & (outer == reach)
+        corridors[same] = outer_buffer(roads.shapes[same], float(reach) + rules.sidewalk_width_m)
     return Strips(strips, roads.ids, corridors)
 
 
 def _less_carriageways(strips: Shapes, carriageways: Shapes) -> Shapes:
     strip, other = shapely.STRtree(carriageways).query(strips, predicate="intersects")
-    rows, near = _gathered(strip, other, carriageways)
-    left = np.array(strips, dtype=object)
-    left[rows] = difference(left[rows], np.asarray(shapely.union_all(near[:, None], axis=1), dtype=object))
-    return left
+    order = np.lexsort((other, strip))
+    return subtract(strips, strip[order], carriageways[other[order]])
 
 
 def _less_lots(strips: Shapes, lots: Shapes, sidewalk_m: float, rows: NDArray[np.bool_]) -> Shapes:
@@ -190,7 +188,7 @@ def _one_area(groups: Shapes) -> Shapes:
         return joined
     before = shapely.area(groups)
     fits = np.abs(shapely.area(merged) - before) <= 1e-9 * before
-    joined[fits] = merged[fits]
+    joined[fits] = np.asarray(merged, dtype=object)[fits]
     return joined
 
 
@@ -204,14 +202,18 @@ def _gathered(row: NDArray[np.integer], other: NDArray[np.integer], shapes: Shap
     return rows, np.asarray(shapely.multipolygons(parts, indices=place[part_of]), dtype=object)
 
 
-def _less_earlier(strips: Shapes) -> Shapes:
-    left = np.array(strips, dtype=object)
-    one, other = shapely.STRtree(left).query(left, predicate="intersects")
-    earlier: dict[int, list[int]] = defaultdict(list)
-    for row, before in sorted(zip(one.tolist(), other.tolist(), strict=True)):
-        if before < row:
-            earlier[row].append(before)
-    for row in sorted(earlier):
-        for before in earlier[row]:
-            left[row] = difference(left[row : row + 1], strips[before : before + 1])[0]
+def first_come(areas: Shapes) -> Shapes:
+    """Return the ground of strips without that of strips before them, so that none is planted twice at a corner."""
+    parts, owner = shapely.get_parts(areas, return_index=True)
+    one, other = shapely.STRtree(parts).query(parts, predicate="intersects")
+    earlier = owner[other] < owner[one]
+    order = np.lexsort((other[earlier], one[earlier]))
+    one, other = one[earlier][order], other[earlier][order]
+    cut = np.unique(one)
+    left = np.array(areas, dtype=object)
+    parts[cut] = subtract(parts[cut], np.searchsorted(cut, one), parts[other])
+    bounds = np.searchsorted(owner, np.arange(len(areas) + 1))
+    for row in np.unique(owner[cut]):
+        rest = shapely.get_parts(parts[bounds[row] : bounds[row + 1]])
+        left[row] = shapely.multipolygons(rest[shapely.area(rest) > 0])
     return left

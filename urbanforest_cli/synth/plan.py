@@ -27,7 +27,7 @@ SIDEWALK_M = 4.9
 """From the curb to the lots: a verge with trees and the way for people on foot."""
 
 RAIL_CORRIDOR_M = 9.0
-RAIL_CROSSING_LOTS = 120
+RIVER_FROM_LOTS = 120
 """Cities of fewer lots have neither river nor railway."""
 
 _STEP_M = 30.0
@@ -63,7 +63,6 @@ class MainRoads:
 class Plan:
     """Districts and what divides them; a district's `region` is where its lots may lie."""
 
-    radius_m: float
     warp: Warp
     centres: Floats  # (districts, 2) on the plain sheet
     reaches_m: Floats  # (districts,) farthest corner from the centre
@@ -97,7 +96,7 @@ def make_plan(lot_count: int, radius_m: float, rng: np.random.Generator) -> Plan
     warp = _draw_warp(min(max(radius_m, 350.0), 2500.0), rng)
     seeds = _draw_seeds(radius_m, spacing_m, rng)
     voronoi = Voronoi(seeds)
-    wet = lot_count >= RAIL_CROSSING_LOTS
+    wet = lot_count >= RIVER_FROM_LOTS
     half_width_m = float(np.clip(6 + 0.012 * radius_m, 9, 60))
     direction = rng.uniform(0, 2 * math.pi)
     river_course = _course(radius_m, direction, 0.52, 0.10, warp, rng) if wet else None
@@ -107,7 +106,7 @@ def make_plan(lot_count: int, radius_m: float, rng: np.random.Generator) -> Plan
 
     members = [d for d in range(len(seeds)) if _inside(voronoi, d, radius_m + 0.8 * spacing_m)]
     ridges, ridge_lines, avenue = _ridges(voronoi, warp, rng)
-    main_roads = _main_roads(ridge_lines, avenue, boulevards, river_course, half_width_m, railway)
+    main_roads = _main_roads(ridge_lines, avenue, boulevards, river_course, half_width_m)
     cells, outlines = [], []
     for district in members:
         outline = voronoi.vertices[voronoi.regions[voronoi.point_region[district]]]
@@ -132,7 +131,6 @@ def make_plan(lot_count: int, radius_m: float, rng: np.random.Generator) -> Plan
     angles, offsets = _orientations(outlines, centres, rng)
     railway_distance = shapely.distance(shapely.points(warp(centres)), railway) if railway is not None else None
     return Plan(
-        radius_m=radius_m,
         warp=warp,
         centres=centres,
         reaches_m=np.array([np.hypot(*(o - c).T).max() for o, c in zip(outlines, centres, strict=True)]),
@@ -236,7 +234,6 @@ def _main_roads(
     boulevards: Geometries,
     river_course: Any,
     half_width_m: float,
-    railway: Any,
 ) -> MainRoads:
     lines = [*ridge_lines, *boulevards]
     kinds = [*np.where(avenue, "avenue", "collector"), *["boulevard"] * len(boulevards)]
@@ -321,7 +318,7 @@ def _district_uses(
         works = np.argsort(far, kind="stable")[: max(1, round(_WORKS_SHARE * int((share < 1).sum())))]
         uses[works[np.isfinite(far[works])]] = INDUSTRIAL
         uses[(share > 0.5) & (rng.random(count) < 0.03) & (count >= _DISTRICTS_WITH_PARKS)] = INDUSTRIAL
-    uses[0] = CENTRE if lot_count >= RAIL_CROSSING_LOTS else SUBURB
+    uses[0] = CENTRE if lot_count >= RIVER_FROM_LOTS else SUBURB
     if count >= _DISTRICTS_WITH_PARKS:
         green = (share > 0.15) & (uses != INDUSTRIAL) & (rng.random(count) < 0.025)
         green[np.argmin(np.abs(share - 0.35))] = True

@@ -1,0 +1,215 @@
+"""Placement units: lots, street strips and sketches, and who has which ground."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from urbanforest_cli.core.config import Config
+from urbanforest_cli.core.notices import Notices
+from urbanforest_cli.core.params import PARAMETERS
+from urbanforest_cli.core.progress import Progress
+from urbanforest_cli.register.cleaning import Checked, overlaps, twins
+from urbanforest_cli.register.envelopes import Ground, Surroundings, Taken, drop_small, plantable_areas
+from urbanforest_cli.register.layers import SKETCH_COLUMNS, as_text, plain_columns, polygons_in_metres
+from urbanforest_cli.register.lots import Lots
+from urbanforest_cli.register.resolve import match_zones, resolve_parameters
+from urbanforest_cli.register.sketches import density_for_cover, lot_under, numbers_of, stack_sketches
+from urbanforest_cli.register.streets import Roads, Strips, first_come, join_roads, verge_strips
+
+STAGE = "stencil"
+
+Shapes = NDArray[Any]
+
+
+@dataclass
+class Units:
+    """Placement units of one origin: lots, street strips or sketches."""
+
+    ids: NDArray[np.object_]
+    zones: NDArray[np.object_]
+    origin: str | NDArray[np.object_]
+    shapes: Shapes
+    parameters: pd.DataFrame
+
+    @property
+    def origins(self) -> NDArray[np.object_]:
+        """Return the origin of each."""
+        return np.full(len(self.ids), self.origin, dtype=object) if isinstance(self.origin, str) else self.origin
+
+
+@dataclass
+class Streets:
+    """Street strips as units, and as they were made."""
+
+    units: Units
+    strips: Strips
+
+
+def joined(units: Sequence[Units]) -> Units:
+    """Return all units as one."""
+    used = [part for part in units if len(part.ids)] or [units[0]]
+    return Units(
+        np.concatenate([part.ids for part in used]),
+        np.concatenate([part.zones for part in used]),
+        np.concatenate([part.origins for part in used]),
+        np.concatenate([part.shapes for part in used]),
+        pd.concat([part.parameters for part in used], ignore_index=True) if len(used) > 1 else used[0].parameters,
+    )
+
+
+def street_units(
+    roads: Roads, lots: Lots, config: Config, seed: int, notices: Notices, known: Sequence[str]
+) -> Streets:
+    """Derive street strips where roads are and no lot is a street."""
+    rules = config.zone_rules("street")
+    strips = Strips(np.empty(0, object), np.empty(0, object), np.empty(0, object))
+    if rules.derive_street_lots and len(roads.shapes) and not (lots.zones == "street").any():
+        strips = verge_strips(join_roads(roads), rules, lots.checked.shapes)
+    there = ~shapely.is_missing(strips.shapes)
+    ids = np.array([f"road:{road}" for road in strips.ids[there]], dtype=object)
+    zones = np.full(len(ids), "street", dtype=object)
+    parameters = resolve_parameters(
+        pd.DataFrame(index=range(len(ids))), ids, zones, config, seed=seed, notices=notices, known_strategies=known
+    )
+    return Streets(Units(ids, zones, "road", strips.shapes[there], parameters), strips)
+
+
+def sketch_units(
+    layers: dict[str, gpd.GeoDataFrame],
+    lot_units: Units,
+    lots: Lots,
+    config: Config,
+    seed: int,
+    notices: Notices,
+    known: Sequence[str],
+    city: object,
+) -> Units:
+    """Make a placement unit of every sketch: its own values, else those of the lot under it, else its zone's."""
+    frame = layers.get("sketches", gpd.GeoDataFrame(geometry=[], crs=lots.crs))
+    where = f"{city} layer 'sketches'"
+    frame = gpd.GeoDataFrame(plain_columns(frame, SKETCH_COLUMNS, where), crs=frame.crs)
+    shapes = polygons_in_metres(frame, "sketches", lots.project, notices)
+    numbers = as_text(frame["sketch_id"] if "sketch_id" in frame else pd.Series(frame.index, dtype=object))
+    shapes = stack_sketches(shapes, numbers)
+    there = ~shapely.is_missing(shapes)
+    frame, shapes = frame[there].reset_index(drop=True), shapes[there]
+    ids = np.array([f"sketch:{number}" for number in numbers[there]], dtype=object)
+    under = lot_under(shapes, lots.checked.shapes)
+    base = lot_units.parameters.reindex(under).reset_index(drop=True)
+    stated = frame["zone"] if "zone" in frame else pd.Series([None] * len(frame), dtype=object)
+    below = [lots.zones[row] if row >= 0 else "other" for row in under]
+    zones = match_zones(stated.where(stated.notna(), below), ids, config, notices)
+    own = frame[[name for name in ("strategy", *PARAMETERS) if name in frame]].copy()
+    if "coverage" in frame:
+        own = _with_coverage(own, numbers_of(frame["coverage"], ids, where))
+    parameters = resolve_parameters(
+        own, ids, zones, config, seed=seed, notices=notices, known_strategies=known, base=base, source="sketch",
+        where=where,
+    )  # fmt: skip
+    parameters["source"] = "sketch"
+    return Units(ids, zones, "sketch", shapes, parameters)
+
+
+def _with_coverage(own: pd.DataFrame, coverage: NDArray[np.float64]) -> pd.DataFrame:
+    """Return own values with those that a coverage stands for, where the sketch does not state them itself."""
+    given = ~np.isnan(coverage)
+    strategy = own["strategy"].astype(object) if "strategy" in own else pd.Series([None] * len(own), dtype=object)
+    density = own["density"] if "density" in own else pd.Series(np.full(len(own), np.nan))
+    fill = given & density.isna().to_numpy()
+    return own.assign(
+        strategy=strategy.mask(given & strategy.isna().to_numpy(), "random"),
+        density=density.mask(fill, density_for_cover(coverage)) if fill.any() else density,
+    )
+
+
+def ground_taken(whole: Units, lots: Lots, strips: Strips, sketches: Units, config: Config, notices: Notices) -> Taken:
+    """Find the ground that units leave to others: lots to smaller lots, to sketches and to road corridors."""
+    count = len(lots.ids)
+    shapes = lots.checked.shapes
+    same = twins(shapes, lots.ids)
+    doubles = same >= 0
+    for row in np.flatnonzero(doubles):
+        lots.checked.reasons[row] = "duplicate"
+        lots.checked.details[row] = f"the same ground as lot {lots.ids[same[row]]}"
+    message = "lots on the same ground as another, planted once"
+    notices.add("W_DUPLICATE", message, int(doubles.sum()), lots.ids[doubles])
+    singles = shapes.copy()
+    singles[doubles] = None
+    giving, keeping = overlaps(singles, lots.ids, least_m2=config.rules.min_area_m2)
+    notices.add(
+        "W_OVERLAP",
+        "pairs of lots that overlap; the smaller keeps the ground",
+        len(giving),
+        [f"{lots.ids[a]} and {lots.ids[b]}" for a, b in zip(giving[:5], keeping[:5], strict=True)],
+    )
+    pairs = [(giving, shapes[keeping])]
+    for givers, takers in (
+        (np.arange(count), strips.corridors),
+        (np.flatnonzero(whole.origins != "sketch"), sketches.shapes),
+    ):
+        giver, taker = shapely.STRtree(takers).query(whole.shapes[givers], predicate="intersects")
+        order = np.lexsort((taker, giver))
+        pairs.append((givers[giver[order]], takers[taker[order]]))
+    return Taken(np.concatenate([pair[0] for pair in pairs]), np.concatenate([pair[1] for pair in pairs]))
+
+
+def ground_of(
+    whole: Units,
+    checked: Checked,
+    around: Surroundings,
+    taken: Taken,
+    config: Config,
+    workers: int,
+    progress: Progress,
+) -> Ground:
+    """Return what is left of every unit; strips along roads have left the carriageways out already."""
+    wanted = ~shapely.is_missing(whole.shapes)
+    wanted[: len(checked.reasons)] &= checked.reasons == ""
+    rows = np.flatnonzero(wanted)
+    strips = whole.origins[rows] == "road"
+    found = plantable_areas(
+        whole.shapes[rows],
+        whole.zones[rows],
+        around,
+        config.zone_rules,
+        taken=taken.within(rows),
+        off_road=strips,
+        workers=workers,
+        report=partial(progress, "cutting envelopes out of lots"),
+    )
+    settled, pieces = drop_small(first_come(found.areas[strips]), config.zone_rules("street").min_area_m2)
+    found.areas[strips] = settled
+    found.dropped_parts[strips] += pieces
+    areas = np.full(len(whole.ids), None, dtype=object)
+    dropped = np.zeros(len(whole.ids), dtype=np.int64)
+    areas[rows], dropped[rows] = found.areas, found.dropped_parts
+    return Ground(areas, dropped)
+
+
+def skipped_units(whole: Units, checked: Checked, ground: Ground, taken: Taken) -> pd.DataFrame:
+    """Return the layer ``skipped``: every unit without ground, and why."""
+    reasons = np.full(len(whole.ids), "", dtype=object)
+    details = np.full(len(whole.ids), "", dtype=object)
+    reasons[: len(checked.reasons)] = checked.reasons
+    details[: len(checked.details)] = checked.details
+    bare = shapely.is_missing(ground.areas) & (reasons == "")
+    gave = np.isin(np.arange(len(whole.ids)), taken.lots)
+    for rows, reason, detail in (
+        (bare & (ground.dropped_parts > 0), "too_small", "only pieces smaller or thinner than those planted are left"),
+        (bare & (ground.dropped_parts == 0) & gave, "no_room", "envelopes, sketches, streets or other lots cover it"),
+        (bare & (ground.dropped_parts == 0) & ~gave, "no_room", "envelopes of what is built cover the whole lot"),
+    ):
+        reasons[rows], details[rows] = reason, detail
+    rows = reasons != ""
+    return pd.DataFrame(
+        {"lot_id": whole.ids[rows], "stage": STAGE, "reason": reasons[rows], "detail": details[rows]}, dtype=object
+    )
