@@ -6,16 +6,9 @@ import shapely
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon, box
 
 from urbanforest_cli.core.config import Rules
-from urbanforest_cli.register.envelopes import (
-    ARC_EXCESS_M,
-    Surroundings,
-    Taken,
-    _exactly,
-    _Keeper,
-    drop_small,
-    outer_buffer,
-    plantable_areas,
-)
+from urbanforest_cli.register.envelopes import ARC_EXCESS_M, drop_small, outer_buffer
+from urbanforest_cli.register.near import Near, NearThings, exactly
+from urbanforest_cli.register.plantable import Surroundings, Taken, plantable_areas
 from urbanforest_cli.register.rules import locate_entrances
 
 
@@ -227,10 +220,10 @@ def test_areas_agree_with_the_plain_way_of_one_union_and_one_difference_a_lot(se
 
 def test_the_exact_kernel_does_nearly_all_lots_by_itself():
     lots, houses, drives = suburb(7, side=12)
-    keeper = _Keeper(Rules(), Surroundings(buildings=houses, driveways=drives), shapely.total_bounds(lots))
+    things = NearThings([Near(houses, 6.0), Near(drives, 1.5)])
     row, thing = shapely.STRtree(np.concatenate((houses, drives))).query(lots, predicate="dwithin", distance=6.0)
     order = np.lexsort((thing, row))
-    _, _, done = _exactly(lots, keeper.things, keeper.clearance_m, row[order], thing[order])
+    _, _, done = exactly(lots, things.things, things.clearance_m, row[order], thing[order])
     assert done.mean() > 0.97
 
 

@@ -4,7 +4,7 @@ import shapely
 from shapely.geometry import LineString, box
 
 from urbanforest_cli.core.config import Rules
-from urbanforest_cli.register.streets import Roads, first_come, join_roads, share_in_lots, verge_strips
+from urbanforest_cli.register.streets import Roads, first_come, join_roads, regrouped, share_in_lots, verge_strips
 
 
 def shapes(*items):
@@ -33,7 +33,8 @@ def test_strips_keep_off_the_carriageways_of_other_roads_and_off_each_other():
         LineString([(-80, 0), (80, 0)]), LineString([(3, -80), (10, 80)]), LineString([(-80, 9), (80, 11)])
     )
     strips = verge_strips(crossing, Rules(), NO_LOTS).shapes
-    present = first_come(strips[~shapely.is_missing(strips)])
+    parts, owner = shapely.get_parts(strips, return_index=True)
+    present = regrouped(first_come(parts, owner), owner, len(strips))
     for strip in present:
         assert shapely.distance(strip, crossing.shapes).min() >= 3.75 - 1e-9
     assert shapely.area(shapely.union_all(present)) == pytest.approx(shapely.area(present).sum(), abs=1e-6)

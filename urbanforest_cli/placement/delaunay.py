@@ -1,8 +1,9 @@
 """Delaunay triangulation of points on a fine grid, by incremental insertion with predicates that do not err.
 
-Half-edges live in flat arrays: half-edge ``4 t + k``, k = 0, 1, 2, of triangle ``t`` starts at ``origin[4 t + k]`` and lies
-opposite ``twin[4 t + k]`` of the neighbour; the fourth place is not used, so that bits tell a half-edge's triangle. Triangles run counter-clockwise. The outside is filled with ghost triangles that
-share a vertex at infinity, numbered like the first vertex after the last, so that every half-edge has a twin.
+Half-edges live in flat arrays: half-edge ``4 t + k``, k = 0, 1, 2, of triangle ``t`` starts at ``origin[4 t + k]``
+and lies opposite ``twin[4 t + k]`` of the neighbour; the fourth place is not used, so that a half-edge's bits tell its
+triangle. Triangles run counter-clockwise. The outside is filled with ghost triangles that share a vertex at infinity,
+which has a number of its own, so that every half-edge has a twin.
 
 Coordinates must be multiples of `GRID_M` below 2**20 m: then differences are exact, the orientation test is exact,
 and the in-circle test errs only toward "no" for points nearer to the circle than 1e-29 of its size. An edge is

@@ -9,7 +9,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from urbanforest_cli.placement.axis_kernel import FAILED, axes_of_parts
+from urbanforest_cli.placement.axis_kernel import axes_of_parts
+from urbanforest_cli.placement.axis_samples import FAILED
 
 CORNER_FACTOR = 2.4
 BRANCH_FACTOR = 1.6

@@ -16,7 +16,7 @@ from urbanforest_cli.core.errors import InputError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.params import PARAMETERS
 from urbanforest_cli.register.cleaning import first_look, flat_copy, polygons_of, repair
-from urbanforest_cli.register.envelopes import Surroundings
+from urbanforest_cli.register.plantable import Surroundings
 from urbanforest_cli.register.rules import Entrances, locate_entrances, road_corners
 from urbanforest_cli.register.streets import Roads
 

@@ -27,7 +27,6 @@ from urbanforest_cli.files.provenance import Record, stage_key
 from urbanforest_cli.files.vector_formats import SHAPEFILE, vector_format
 from urbanforest_cli.files.vectors import list_vector_layers, read_vector
 from urbanforest_cli.register.envelope_kernel import KERNELS
-from urbanforest_cli.register.envelopes import Ground
 from urbanforest_cli.register.layers import (
     LOT_COLUMNS,
     plain_columns,
@@ -35,6 +34,7 @@ from urbanforest_cli.register.layers import (
     surroundings_of,
 )
 from urbanforest_cli.register.lots import Lots, clean_lots, refuse_doubles, user_columns
+from urbanforest_cli.register.plantable import Ground
 from urbanforest_cli.register.resolve import resolve_parameters, with_resolved
 from urbanforest_cli.register.streets import Roads
 from urbanforest_cli.register.units import (

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely.errors import GEOSException
 
 from urbanforest_cli.core.config import Rules
 from urbanforest_cli.register.cleaning import id_order
 from urbanforest_cli.register.envelopes import difference, drop_small, outer_buffer, subtract
+from urbanforest_cli.register.near import Near, NearThings
 from urbanforest_cli.register.rules import NODE_REACH_M, carriageway_reach_m
 
 SAMPLE_STEP_M = 5.0
@@ -150,11 +150,14 @@ def verge_strips(roads: Roads, rules: Rules, lots: Shapes) -> Strips:
             strips[rows] = shapely.buffer(
                 roads.shapes[rows], outer[rows], quad_segs=8, cap_style="flat" if line else "round"
             )
-    strips = _less_carriageways(strips, carriageways)
     covered = share_in_lots(roads.shapes, lots) > COVERED_SHARE
+    sides, road = shapely.get_parts(difference(strips, carriageways), return_index=True)
+    sides = _less_others(sides, road, carriageways)
     present = np.asarray(lots)[~shapely.is_missing(lots)]
-    strips = _less_lots(strips, present, rules.sidewalk_width_m, ~covered)
-    strips, _ = drop_small(strips, rules.min_area_m2, half_width_m=STRIP_LEAST_M / 2)
+    beside = np.flatnonzero(~covered[road])
+    sides[beside], _ = NearThings([Near(present, rules.sidewalk_width_m)]).leave(sides[beside], 0.0)
+    sides, _ = drop_small(sides, rules.min_area_m2, half_width_m=STRIP_LEAST_M / 2)
+    strips = regrouped(sides, road, len(strips))
     covered &= ~shapely.is_missing(strips)
     for reach in np.unique(outer[covered]):
         same = covered & (outer == reach)
@@ -162,58 +165,35 @@ def verge_strips(roads: Roads, rules: Rules, lots: Shapes) -> Strips:
     return Strips(strips, roads.ids, corridors)
 
 
-def _less_carriageways(strips: Shapes, carriageways: Shapes) -> Shapes:
-    strip, other = shapely.STRtree(carriageways).query(strips, predicate="intersects")
-    order = np.lexsort((other, strip))
-    return subtract(strips, strip[order], carriageways[other[order]])
+def _less_others(sides: Shapes, road: NDArray[np.integer], carriageways: Shapes) -> Shapes:
+    """Return strips without the carriageways of all roads but their own, which they lie beside already."""
+    side, other = shapely.STRtree(carriageways).query(sides, predicate="intersects")
+    foreign = road[side] != other
+    order = np.lexsort((other[foreign], side[foreign]))
+    return subtract(sides, side[foreign][order], carriageways[other[foreign][order]])
 
 
-def _less_lots(strips: Shapes, lots: Shapes, sidewalk_m: float, rows: NDArray[np.bool_]) -> Shapes:
-    left = np.array(strips, dtype=object)
-    if not len(lots):
-        return left
-    strip, lot = shapely.STRtree(lots).query(left, predicate="dwithin", distance=sidewalk_m)
-    here, near = _gathered(strip[rows[strip]], lot[rows[strip]], lots)
-    wide = shapely.buffer(_one_area(near), sidewalk_m, quad_segs=4)
-    left[here] = difference(left[here], np.asarray(wide, dtype=object))
-    return left
+def regrouped(parts: Shapes, owner: NDArray[np.integer], count: int) -> Shapes:
+    """Return for each owner one shape of all its parts, None where it has none; parts come sorted by owner."""
+    pieces, part = shapely.get_parts(parts, return_index=True)
+    real = shapely.area(pieces) > 0
+    pieces, rows = pieces[real], owner[part[real]]
+    whole = np.full(count, None, dtype=object)
+    used, place = np.unique(rows, return_inverse=True)
+    if len(used):
+        whole[used] = shapely.multipolygons(pieces, indices=place)
+    return whole
 
 
-def _one_area(groups: Shapes) -> Shapes:
-    """Return groups of polygons without the edges they share, those that overlap as they are."""
-    joined: Shapes = np.array(groups, dtype=object)
-    try:
-        merged = shapely.coverage_union_all(groups[:, None], axis=1)
-    except GEOSException:  # some lots overlap or meet badly; it does not say which
-        return joined
-    before = shapely.area(groups)
-    fits = np.abs(shapely.area(merged) - before) <= 1e-9 * before
-    joined[fits] = np.asarray(merged, dtype=object)[fits]
-    return joined
+def first_come(parts: Shapes, owner: NDArray[np.integer]) -> Shapes:
+    """Return the ground of strips without that of strips before them, so that none is planted twice at a corner.
 
-
-def _gathered(row: NDArray[np.integer], other: NDArray[np.integer], shapes: Shapes) -> tuple[NDArray[np.int64], Shapes]:
-    """Return the rows that have others, and for each a multipolygon of all of them."""
-    order = np.lexsort((other, row))
-    rows, place = np.unique(row[order], return_inverse=True)
-    parts, part_of = shapely.get_parts(shapes[other[order]], return_index=True)
-    if not len(rows):
-        return rows, np.empty(0, dtype=object)
-    return rows, np.asarray(shapely.multipolygons(parts, indices=place[part_of]), dtype=object)
-
-
-def first_come(areas: Shapes) -> Shapes:
-    """Return the ground of strips without that of strips before them, so that none is planted twice at a corner."""
-    parts, owner = shapely.get_parts(areas, return_index=True)
+    Parameters
+    ----------
+    parts, owner
+        Pieces of strips, and which strip each is of.
+    """
     one, other = shapely.STRtree(parts).query(parts, predicate="intersects")
     earlier = owner[other] < owner[one]
     order = np.lexsort((other[earlier], one[earlier]))
-    one, other = one[earlier][order], other[earlier][order]
-    cut = np.unique(one)
-    left = np.array(areas, dtype=object)
-    parts[cut] = subtract(parts[cut], np.searchsorted(cut, one), parts[other])
-    bounds = np.searchsorted(owner, np.arange(len(areas) + 1))
-    for row in np.unique(owner[cut]):
-        rest = shapely.get_parts(parts[bounds[row] : bounds[row + 1]])
-        left[row] = shapely.multipolygons(rest[shapely.area(rest) > 0])
-    return left
+    return subtract(parts, one[earlier][order], parts[other[earlier][order]])

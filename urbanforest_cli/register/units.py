@@ -18,12 +18,13 @@ from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.params import PARAMETERS
 from urbanforest_cli.core.progress import Progress
 from urbanforest_cli.register.cleaning import Checked, overlaps, twins
-from urbanforest_cli.register.envelopes import Ground, Surroundings, Taken, drop_small, plantable_areas
+from urbanforest_cli.register.envelopes import drop_small
 from urbanforest_cli.register.layers import SKETCH_COLUMNS, as_text, plain_columns, polygons_in_metres
 from urbanforest_cli.register.lots import Lots
+from urbanforest_cli.register.plantable import Ground, Surroundings, Taken, plantable_areas
 from urbanforest_cli.register.resolve import match_zones, resolve_parameters
 from urbanforest_cli.register.sketches import density_for_cover, lot_under, numbers_of, stack_sketches
-from urbanforest_cli.register.streets import Roads, Strips, first_come, join_roads, verge_strips
+from urbanforest_cli.register.streets import Roads, Strips, first_come, join_roads, regrouped, verge_strips
 
 STAGE = "stencil"
 
@@ -174,24 +175,28 @@ def ground_of(
     """Return what is left of every unit; strips along roads have left the carriageways out already."""
     wanted = ~shapely.is_missing(whole.shapes)
     wanted[: len(checked.reasons)] &= checked.reasons == ""
-    rows = np.flatnonzero(wanted)
-    strips = whole.origins[rows] == "road"
+    count = len(whole.ids)
+    strips = whole.origins == "road"
+    lots, roads = np.flatnonzero(wanted & ~strips), np.flatnonzero(wanted & strips)
+    sides, side_of = shapely.get_parts(whole.shapes[roads], return_index=True)
+    rows = np.concatenate((lots, roads[side_of]))
     found = plantable_areas(
-        whole.shapes[rows],
+        np.concatenate((whole.shapes[lots], sides)),
         whole.zones[rows],
         around,
         config.zone_rules,
-        taken=taken.within(rows),
-        off_road=strips,
+        taken=taken.among(rows),
+        off_road=strips[rows],
         workers=workers,
         report=partial(progress, "cutting envelopes out of lots"),
     )
-    settled, pieces = drop_small(first_come(found.areas[strips]), config.zone_rules("street").min_area_m2)
-    found.areas[strips] = settled
-    found.dropped_parts[strips] += pieces
-    areas = np.full(len(whole.ids), None, dtype=object)
-    dropped = np.zeros(len(whole.ids), dtype=np.int64)
-    areas[rows], dropped[rows] = found.areas, found.dropped_parts
+    rules = config.zone_rules("street")
+    pieces, dropped_late = drop_small(first_come(found.areas[len(lots) :], side_of), rules.min_area_m2)
+    areas = np.full(count, None, dtype=object)
+    areas[lots] = found.areas[: len(lots)]
+    areas[roads] = regrouped(pieces, side_of, len(roads))
+    dropped = np.bincount(rows, found.dropped_parts, minlength=count).astype(np.int64)
+    dropped += np.bincount(roads[side_of], dropped_late, minlength=count).astype(np.int64)
     return Ground(areas, dropped)
 
 
