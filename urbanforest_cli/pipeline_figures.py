@@ -35,7 +35,7 @@ from urbanforest_cli.placement.seeds import draw_seeds
 from urbanforest_cli.placement.sites import Sites
 from urbanforest_cli.placement.strategies import boundary_bands, cluster_areas, strategy_named
 from urbanforest_cli.placement.thinning import index_within, kept_by_hash
-from urbanforest_cli.register.envelopes import Surroundings, plantable_areas
+from urbanforest_cli.register.plantable import Surroundings, plantable_areas
 
 Shapes = NDArray[np.object_]
 Values = dict[str, NDArray[np.float64]]

@@ -79,6 +79,7 @@ def register(tmp_path_factory, config):
     placements = pd.DataFrame(
         {
             "lot_id": ids,
+            "outcome": ["planted", "no_position"],
             "position_count": [2, 0],
             "plant_count": [2, 0],
             "radius_mean_m": [2.5, np.nan],

@@ -1,3 +1,4 @@
+import json
 import os
 import sqlite3
 from contextlib import closing
@@ -74,6 +75,27 @@ def test_the_users_columns_come_along_and_clashing_names_are_kept_as_source(sten
     assert lots.loc[["a", "b"], "listed"].tolist() == [True, False]
     assert lots.loc[["a", "b"], "zone"].tolist() == ["street", "residential"]
     assert lots.loc[["a", "b"], "source_zone"].tolist() == ["Street ", "residential"]
+
+
+def test_columns_of_any_kind_come_along(tmp_path, run):
+    city = tmp_path / "city.geojson"
+    ring = [[15, 48], [15.001, 48], [15.001, 48.001], [15, 48.001], [15, 48]]
+    properties = {
+        "lot_id": "a",
+        "tags": ["x", "y"],
+        "numbers": [1, 2],
+        "nested": {"k": 1},
+        "day": "2024-02-29",
+        "big": 2**60,
+    }
+    feature = {"type": "Feature", "properties": properties, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+    city.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    row = run(city).lot("a")
+    assert json.loads(row["tags"]) == ["x", "y"]
+    assert json.loads(row["numbers"]) == [1, 2]
+    assert json.loads(row["nested"]) == {"k": 1}
+    assert str(row["day"])[:10] == "2024-02-29"
+    assert row["big"] == 2**60
 
 
 def test_the_record_names_inputs_seed_and_working_crs(run, tiny_city):

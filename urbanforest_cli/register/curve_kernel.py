@@ -21,7 +21,29 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def arc_bounds(arc: Floats) -> tuple[float, float, float, float]:
+    """Return west, south, east, north of an arc: of its ends, and of where it passes a direction of the compass."""
+    x, y, radius, first, last = arc[0], arc[1], arc[2], arc[3], arc[3] + arc[4]
+    ax, ay = x + radius * math.cos(first), y + radius * math.sin(first)
+    bx, by = x + radius * math.cos(last), y + radius * math.sin(last)
+    west, south, east, north = min(ax, bx), min(ay, by), max(ax, bx), max(ay, by)
+    quarter = math.ceil(first / (math.pi / 2))
+    while quarter * (math.pi / 2) < last:
+        side = int(quarter) % 4
+        if side == 0:
+            east = x + radius
+        elif side == 1:
+            north = y + radius
+        elif side == 2:
+            west = x - radius
+        else:
+            south = y - radius
+        quarter += 1
+    return west, south, east, north
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def boxes(curve: Floats, kind: Ints, box: Floats, count: int) -> None:
     """Write the bounds of curves."""
     for i in range(count):
@@ -29,11 +51,10 @@ def boxes(curve: Floats, kind: Ints, box: Floats, count: int) -> None:
             box[i, 0], box[i, 2] = min(curve[i, 0], curve[i, 2]), max(curve[i, 0], curve[i, 2])
             box[i, 1], box[i, 3] = min(curve[i, 1], curve[i, 3]), max(curve[i, 1], curve[i, 3])
         else:
-            x, y, r = curve[i, 0], curve[i, 1], curve[i, 2]
-            box[i, 0], box[i, 1], box[i, 2], box[i, 3] = x - r, y - r, x + r, y + r
+            box[i, 0], box[i, 1], box[i, 2], box[i, 3] = arc_bounds(curve[i])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def all_crossings(
     curve: Floats,
     kind: Ints,
@@ -76,7 +97,7 @@ def all_crossings(
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _segments(a: Floats, b: Floats, at: Floats) -> int:
     """Return the number of crossings of two segments, and where along each; of two that coincide, where that ends."""
     ax, ay, bx, by = a[2] - a[0], a[3] - a[1], b[2] - b[0], b[3] - b[1]
@@ -103,7 +124,7 @@ def _segments(a: Floats, b: Floats, at: Floats) -> int:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _along_arc(arc: Floats, x: float, y: float) -> float:
     """Return how far along an arc a point of its circle lies, in metres; -1 where the arc does not reach."""
     angle = (math.atan2(y - arc[1], x - arc[0]) - arc[3]) % (2 * math.pi)
@@ -116,7 +137,7 @@ def _along_arc(arc: Floats, x: float, y: float) -> float:
     return float(angle * arc[2])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _segment_arc(a: Floats, arc: Floats, at: Floats) -> int:
     """Return the number of crossings of a segment and an arc, and where along each."""
     dx, dy = a[2] - a[0], a[3] - a[1]
@@ -139,7 +160,7 @@ def _segment_arc(a: Floats, arc: Floats, at: Floats) -> int:
     return n
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _arcs(a: Floats, b: Floats, at: Floats) -> int:
     """Return the number of crossings of two arcs, and where along each; of two that coincide, where that ends."""
     dx, dy = b[0] - a[0], b[1] - a[1]
@@ -177,7 +198,7 @@ def _arcs(a: Floats, b: Floats, at: Floats) -> int:
     return n
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def place(curve: Floats, kind: int, at: float) -> tuple[float, float]:
     """Return the point that lies so many metres along a curve."""
     if kind == 1:
@@ -188,7 +209,7 @@ def place(curve: Floats, kind: int, at: float) -> tuple[float, float]:
     return curve[0] + share * dx, curve[1] + share * dy
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def right_of(curve: Floats, kind: int, at: float) -> tuple[float, float]:
     """Return the unit vector to the right of a curve, which for an envelope is away from the wall."""
     if kind == 1:

@@ -21,6 +21,7 @@ from urbanforest_cli.register.curve_kernel import (
     SAME_M,
     SHORTEST_PIECE_M,
     all_crossings,
+    arc_bounds,
     boxes,
     place,
     right_of,
@@ -37,7 +38,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def lots_less_envelopes(
     lot_xy: Floats,
     lot_rings: Ints,
@@ -144,13 +145,13 @@ def lots_less_envelopes(
     return out_xy[:total], out_rings[: rings + 1], out_shell[:rings], out_lot[:rings], status
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _longer(values: Any) -> Any:
     """Return a copy with room for as many again."""
     return np.concatenate((values, values))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _bounds(xy: Floats, first: int, last: int) -> tuple[float, float, float, float]:
     west, south, east, north = np.inf, np.inf, -np.inf, -np.inf
     for i in range(first, last):
@@ -159,7 +160,7 @@ def _bounds(xy: Floats, first: int, last: int) -> tuple[float, float, float, flo
     return west, south, east, north
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_ring(
     xy: Floats, first: int, last: int, west: float, south: float, curve: Floats, kind: Ints, owner: Ints, count: int
 ) -> int:
@@ -176,7 +177,7 @@ def _add_ring(
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_envelope(
     xy: Floats, first: int, last: int, radius: float, thing: int,
     west: float, south: float, width: float, height: float,
@@ -220,7 +221,9 @@ def _add_envelope(
             curve[count, 0], curve[count, 1], curve[count, 2] = x, y, radius
             curve[count, 3], curve[count, 4] = math.atan2(-ux, uy), turn
             kind[count], owner[count] = 1, thing
-            count += 1
+            low_x, low_y, high_x, high_y = arc_bounds(curve[count])
+            if low_x <= width and high_x >= 0.0 and low_y <= height and high_y >= 0.0:
+                count += 1
         ax, ay = x + radius * vy, y - radius * vx
         bx, by = ax + dx, ay + dy
         if min(ax, bx) <= width and max(ax, bx) >= 0 and min(ay, by) <= height and max(ay, by) >= 0:
@@ -231,7 +234,7 @@ def _add_envelope(
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _keep_pieces(
     curve: Floats, kind: Ints, owner: Ints, count: int, cross_curve: Ints, cross_at: Floats, crossings: int,
     lot_xy: Floats, lot_rings: Ints, ring_first: int, ring_last: int,
@@ -286,7 +289,7 @@ def _keep_pieces(
     return pieces
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _is_edge(
     x: float, y: float, nx: float, ny: float, owner: int,
     lot_xy: Floats, lot_rings: Ints, ring_first: int, ring_last: int,
@@ -323,7 +326,7 @@ def _is_edge(
     return owner < 0 or _distance(x, y, lot_xy, lot_rings, ring_first, ring_last, 0.0, west, south) < -SAME_M
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _distance(
     x: float, y: float, xy: Floats, rings: Ints, first: int, last: int, reach: float, west: float, south: float
 ) -> float:
@@ -352,7 +355,7 @@ def _distance(
     return -math.sqrt(least) if inside else math.sqrt(least)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _join(
     curve: Floats, kind: Ints, pieces: int, piece_curve: Ints, piece_at: Floats, piece_end: Floats, used: Any,
     arc_excess: float, lot: int, west: float, south: float,
@@ -424,7 +427,7 @@ def _join(
     return DONE
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _area(xy: Floats, first: int, last: int) -> float:
     """Return twice a ring's area, below 0 for a ring that runs clockwise: a hole."""
     total = 0.0
@@ -434,7 +437,7 @@ def _area(xy: Floats, first: int, last: int) -> float:
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _shell_of(xy: Floats, rings: Ints, first_ring: int, last_ring: int, hole: int) -> int:
     """Return the smallest shell around a hole, -1 if there is none."""
     x, y = xy[rings[hole], 0], xy[rings[hole], 1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -142,10 +143,19 @@ def refuse_doubles(ids: NDArray[np.object_], city: object, what: str) -> None:
         )
 
 
-def user_columns(frame: gpd.GeoDataFrame, count: int, lots: Lots) -> dict[str, Any]:
+def _plain_cell(value: Any) -> Any:
+    """Return what a GeoPackage can hold: text as it is, anything put together as JSON."""
+    if value is None or isinstance(value, str | bytes) or (isinstance(value, float) and value != value):
+        return value
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    return json.dumps(value, ensure_ascii=False, default=str) if isinstance(value, list | tuple | dict) else str(value)
+
+
+def user_columns(frame: pd.DataFrame, count: int, lots: Lots) -> dict[str, Any]:
     """Return the city's own columns, one row a unit; those whose names the register needs are ``source_``."""
     columns: dict[str, Any] = {}
-    others = frame.drop(columns=[frame.geometry.name, "lot_id"], errors="ignore")
+    others = frame.drop(columns="lot_id", errors="ignore")
     taken = {name.casefold() for name in OWN_COLUMNS} | {str(name).casefold() for name in others.columns}
     for name in others.columns:
         column = others[name].reset_index(drop=True)
@@ -155,6 +165,8 @@ def user_columns(frame: gpd.GeoDataFrame, count: int, lots: Lots) -> dict[str, A
             column = column.astype("boolean")
         elif pd.api.types.is_integer_dtype(column.dtype) and isinstance(column.dtype, np.dtype):
             column = column.astype("UInt64" if column.dtype == np.uint64 else "Int64")
+        elif column.dtype == object:
+            column = column.map(_plain_cell)
         label = str(name)
         if label.casefold() in {own.casefold() for own in OWN_COLUMNS}:
             label = f"source_{label}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -134,26 +135,25 @@ def plantable_areas(
     for zone in sorted(set(zones)):
         rules = rules_of(zone)
         groups.setdefault(rules.model_dump_json(), (rules, []))[1].append(zone)
-    jobs = []
-    for rules, members in groups.values():
-        rows = np.flatnonzero(np.isin(zones, members))
-        keeper = _Keeper(rules, around, shapely.total_bounds(lots[rows]))
-        jobs += [(keeper, rows[start : start + LOTS_A_CHUNK]) for start in range(0, len(rows), LOTS_A_CHUNK)]
     done = 0
-
-    def work(job: tuple[_Keeper, NDArray[np.int64]]) -> tuple[NDArray[np.int64], Shapes, NDArray[np.int64]]:
-        keeper, rows = job
-        left = keeper.leave(lots[rows], taken.among(rows), on_road[rows])
-        return rows, left.areas, left.dropped_parts
-
     with ThreadPoolExecutor(workers) as pool:
-        for rows, left, count in pool.map(work, jobs) if workers > 1 else map(work, jobs):
-            areas[rows] = left
-            dropped[rows] = count
-            done += len(rows)
-            if report is not None:
-                report(done, len(lots))
+        for rules, members in groups.values():
+            mine = np.flatnonzero(np.isin(zones, members))
+            keeper = _Keeper(rules, around, shapely.total_bounds(lots[mine]))
+            chunks = [mine[start : start + LOTS_A_CHUNK] for start in range(0, len(mine), LOTS_A_CHUNK)]
+            leave = partial(_leave_chunk, keeper, lots, taken, on_road)
+            for rows, left in zip(chunks, pool.map(leave, chunks) if workers > 1 else map(leave, chunks), strict=True):
+                areas[rows], dropped[rows] = left.areas, left.dropped_parts
+                done += len(rows)
+                if report is not None:
+                    report(done, len(lots))
     return Ground(areas, dropped)
+
+
+def _leave_chunk(
+    keeper: _Keeper, lots: Shapes, taken: Taken, on_road: NDArray[np.bool_], rows: NDArray[np.int64]
+) -> Ground:
+    return keeper.leave(lots[rows], taken.among(rows), on_road[rows])
 
 
 class _Keeper:

@@ -133,6 +133,8 @@ def stencil_city(
     progress("reading the city", 0, 1)
     frame, layers = _read(city, assume_crs, lots_layer, notices)
     lots = clean_lots(frame, config, notices, city, typed=vector_format(city).typed)
+    attributes = pd.DataFrame(frame.drop(columns=frame.geometry.name))
+    del frame
     progress("reading the city", 1, 1)
 
     roads = Roads(np.empty(0, object), np.empty(0), np.empty(0, object))
@@ -141,7 +143,7 @@ def stencil_city(
     around = surroundings_of(layers, roads, lots.project, config.rules, notices)
     around_counts = {name: len(layers[name]) for name in KINDS if name in layers and name != "sketches"}
     layers = {name: found for name, found in layers.items() if name == "sketches"}
-    own = frame[[name for name in ("strategy", *PARAMETERS) if name in frame]]
+    own = attributes[[name for name in ("strategy", *PARAMETERS) if name in attributes]]
     announce_compile(KERNELS, progress)
     parameters = resolve_parameters(
         own, lots.ids, lots.zones, config, seed=seed, notices=notices, known_strategies=known_strategies, where=city
@@ -157,7 +159,7 @@ def stencil_city(
     skipped = skipped_units(whole, lots.checked, ground, taken)
 
     progress("writing the register", 0, 1)
-    summary = StageSummary(STAGE, register, _counts(whole, ground, skipped, len(frame)) | around_counts, notices)
+    summary = StageSummary(STAGE, register, _counts(whole, ground, skipped, len(attributes)) | around_counts, notices)
     record = Record(
         stage=STAGE,
         seed=seed,
@@ -168,7 +170,7 @@ def stencil_city(
         counts=dict(summary.counts),
         notices=notices,
     )
-    tables = _tables(frame, whole, ground, skipped, lots)
+    tables = _tables(attributes, whole, ground, skipped, lots)
     write_layers(register, {**tables, "provenance": pd.DataFrame([record.as_row()])}, fresh=True)
     progress("writing the register", 1, 1)
     summary.seconds = time.perf_counter() - started
@@ -239,7 +241,7 @@ def _counts(
 
 
 def _tables(
-    frame: gpd.GeoDataFrame, whole: Units, ground: Ground, skipped: pd.DataFrame, lots: Lots
+    attributes: pd.DataFrame, whole: Units, ground: Ground, skipped: pd.DataFrame, lots: Lots
 ) -> dict[str, pd.DataFrame]:
     areas = ground.areas
     there = ~shapely.is_missing(areas)
@@ -252,7 +254,7 @@ def _tables(
             "area_m2": np.nan_to_num(shapely.area(whole.shapes)),
             "plantable_area_m2": plantable,
             "covered_fraction": np.nan,
-            **user_columns(frame, len(whole.ids), lots),
+            **user_columns(attributes, len(whole.ids), lots),
         },
         geometry=lots.back(whole.shapes),
         crs=lots.crs,

@@ -69,7 +69,7 @@ def join_roads(roads: Roads) -> Roads:
         members.sort(key=lambda member: id_order(str(ids[member])))
         whole = shapes[members[0]]
         if len(members) > 1:
-            whole = shapely.line_merge(shapely.multilinestrings(shapes[members]))
+            whole = _one_way(shapely.line_merge(shapely.multilinestrings(shapes[members])))
         joined.append(whole)
         joined_widths.append(widths[members[0]])
         joined_ids.append(ids[members[0]])
@@ -81,6 +81,15 @@ def join_roads(roads: Roads) -> Roads:
         np.concatenate(([joined_widths[row] for row in order], roads.widths_m[~lines])).astype(np.float64),
         np.concatenate((np.array([joined_ids[row] for row in order], dtype=object), roads.ids[~lines])),
     )
+
+
+def _one_way(lines: Any) -> Any:
+    """Turn lines so that they run the same way however they came: merging may reverse them for a hair's difference."""
+    parts = shapely.get_parts(lines)
+    ends = shapely.get_coordinates(shapely.get_point(parts, -1)) - shapely.get_coordinates(shapely.get_point(parts, 0))
+    backward = ends @ np.array([1.0, np.sqrt(2.0)]) < 0
+    turned = np.where(backward, shapely.reverse(parts), parts)
+    return turned[0] if len(turned) == 1 else shapely.multilinestrings(turned)
 
 
 def _continuations(lines: Shapes) -> list[tuple[int, int]]:
