@@ -112,7 +112,13 @@ def test_populate_does_with_each_vector_file_what_the_index_says(bad_inputs: Pat
         out = tmp_path / "out"
         shutil.rmtree(out, ignore_errors=True)
         request = Request(
-            city=case.path, out=out, config=config, seed=0, until="place", assume_crs=case.assume_crs, max_bad_fraction=1
+            city=case.path,
+            out=out,
+            config=config,
+            seed=0,
+            until="place",
+            assume_crs=case.assume_crs,
+            max_bad_fraction=1,
         )
         try:
             return populate(request)[0].notices

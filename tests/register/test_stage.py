@@ -149,7 +149,10 @@ def test_street_lots_are_made_from_roads_where_the_register_has_none(run, tiny_c
 
 def test_no_street_lots_are_made_where_the_register_has_some_or_the_rules_say_no(stencil):
     roads = [LineString([(WEST, SOUTH - 10), (WEST + 200, SOUTH - 10)])]
-    assert stencil([lot()], zone=["street"], layers={"roads": roads}).summary.counts["street_lots"] == 0
+    street = box(WEST, SOUTH - 20, WEST + 200, SOUTH)
+    assert stencil([street], zone=["street"], layers={"roads": roads}).summary.counts["street_lots"] == 0
+    square = box(WEST, SOUTH + 100, WEST + 50, SOUTH + 150)
+    assert stencil([square], zone=["street"], layers={"roads": roads}).summary.counts["street_lots"] == 1
     never = Config.model_validate({"rules": {"derive_street_lots": False}})
     assert stencil([lot()], layers={"roads": roads}, config=never).summary.counts["street_lots"] == 0
     assert stencil([lot()], layers={"roads": roads}).summary.counts["street_lots"] == 1
@@ -346,7 +349,10 @@ def test_a_lot_of_a_billionth_of_a_degree_has_no_plants_and_breaks_nothing(stenc
 
 def test_a_lot_of_a_thousand_kilometres_is_refused_before_placing(stencil):
     with pytest.raises(LimitError, match="too large"):
-        stencil([box(0, SOUTH, 1e6, SOUTH + 100), lot()])
+        stencil([box(0, SOUTH, 1e6, SOUTH + 100)])
+    register = stencil([box(0, SOUTH, 1e6, SOUTH + 100), lot()])
+    assert register.reasons() == {"a": "too_large"}
+    assert register.notices.count("W_TOO_LARGE") == 1
 
 
 def test_ten_thousand_holes_are_no_trouble(stencil):

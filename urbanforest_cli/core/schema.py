@@ -34,7 +34,7 @@ SKIP_REASONS = {
     "no_position": "the strategy finds no position in the ground that is left",
     "thinned": "the density left no plant standing",
     "too_many_plants": "it would hold more plants than placement.max_plants_per_lot",
-    "too_slow": "the lot's geometry took longer than the limit",
+    "too_large": "it is longer than 500 km",
 }
 
 

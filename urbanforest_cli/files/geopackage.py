@@ -39,7 +39,11 @@ def timestamp() -> str:
 
 
 def write_layers(
-    path: Path, frames: Mapping[str, pd.DataFrame], *, fresh: bool = False, geometry_types: Mapping[str, str] | None = None
+    path: Path,
+    frames: Mapping[str, pd.DataFrame],
+    *,
+    fresh: bool = False,
+    geometry_types: Mapping[str, str] | None = None,
 ) -> None:
     """Write layers into a GeoPackage; all others in it stay as they are.
 

@@ -92,7 +92,7 @@ def place_plants(
     if kept is not None:
         plants, placements = _joined(city, kept, plants, placements)
     skipped = _skipped(register, placements)
-    counts = {
+    counts: dict[str, int | float | str] = {
         "plants": len(plants),
         "lots_planted": int((placements["plant_count"] > 0).sum()),
         "lots_skipped": len(skipped),
@@ -149,7 +149,7 @@ def _read_city(register: Path, working: CRS) -> _City:
     parameters = read_layer(register, "parameters", geometry=False).set_index("lot_id")
     areas = areas.sort_values("lot_id", kind="stable")
     lot_ids = areas["lot_id"].to_numpy(dtype=object)
-    crs = areas.crs
+    crs = CRS.from_user_input(areas.crs)
     lot_shapes = lots.geometry.reindex(lot_ids).to_numpy()
     area_shapes = areas.geometry.to_numpy()
     parameters = parameters.reindex(lot_ids)
@@ -309,7 +309,8 @@ def _frames(
         crs=city.crs,
     )
     plant_count = np.bincount(placed.lot, minlength=len(city.lot_ids))
-    dominant = np.where(plant_count > 0, names[placed.seeds.dominant], None)
+    dominant = names[placed.seeds.dominant]
+    dominant[plant_count == 0] = None
     outcome = np.select(
         [placed.refused, placed.position_count == 0, plant_count == 0],
         ["too_many_plants", "no_position", "thinned"],

@@ -77,14 +77,17 @@ def boundary_bands(
     outer = without_holes(lots) if edge_of == "lot" else areas
     cores = shapely.buffer(outer, -np.asarray(width_m), quad_segs=ARC_SEGMENTS)
     bands = shapely.difference(areas, cores)
-    return np.where(np.asarray(width_m) > 0, bands, shapely.from_wkt("POLYGON EMPTY"))
+    bands[np.asarray(width_m) <= 0] = shapely.Polygon()
+    return np.asarray(bands)
 
 
 def without_holes(polygons: NDArray[np.object_]) -> NDArray[np.object_]:
     """Fill the holes of polygons and multipolygons."""
     parts, owner = shapely.get_parts(polygons, return_index=True)
-    filled = shapely.polygons(shapely.get_exterior_ring(parts))
-    return np.asarray(shapely.multipolygons(filled, indices=owner)) if len(parts) else polygons
+    if len(parts) == 0:
+        return polygons
+    filled = np.asarray(shapely.polygons(shapely.get_exterior_ring(parts)))
+    return np.asarray(shapely.multipolygons(filled, indices=owner))
 
 
 def cluster(sites: Sites, settings: Placement) -> Positions:
@@ -106,9 +109,7 @@ def cluster_areas(sites: Sites, settings: Placement) -> NDArray[np.object_]:
     owner, centres = uniform_points(sites.areas, sites.keys ^ np.uint64(0xC2), count)
     discs = shapely.buffer(shapely.points(centres), sites.values["cluster_radius_m"][owner], quad_segs=2 * ARC_SEGMENTS)
     starts = np.searchsorted(owner, np.arange(len(sites.areas) + 1))
-    unions = np.array(
-        [shapely.union_all(discs[a:b]) for a, b in pairwise(starts)], dtype=object
-    )
+    unions = np.array([shapely.union_all(discs[a:b]) for a, b in pairwise(starts)], dtype=object)
     return np.asarray(shapely.intersection(sites.areas, unions))
 
 

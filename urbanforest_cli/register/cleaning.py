@@ -187,13 +187,13 @@ def repair(checked: Checked, names: Names, notices: Notices, *, what: str = "lot
     Raises
     ------
     LimitError
-        A shape is longer than 500 km.
+        All shapes are longer than 500 km.
     """
     labels = np.asarray(names, dtype=object)
     broken = ~finite(checked.shapes)
     checked.drop(broken, "not_finite", "a coordinate has no place in the CRS in metres")
     notices.add("W_NOT_FINITE", f"{what} with a coordinate that is no number", int(broken.sum()), labels[broken])
-    _refuse_wide(checked.shapes, labels, what)
+    _drop_wide(checked, labels, notices, what)
 
     for row in np.flatnonzero(shapely.get_num_coordinates(checked.shapes) > VERTEX_CAP):
         before = int(shapely.get_num_coordinates(checked.shapes[row]))
@@ -267,18 +267,24 @@ def sound_parts(shapes: Any) -> Any:
     return shapely.make_valid(shapes, method="structure", keep_collapsed=False)
 
 
-def _refuse_wide(shapes: Shapes, labels: NDArray[Any], what: str) -> None:
-    bounds = shapely.bounds(shapes)
-    extent = np.fmax(bounds[:, 2] - bounds[:, 0], bounds[:, 3] - bounds[:, 1])
-    if extent.size and np.nanmax(extent, initial=0.0) > EXTENT_LIMIT_M:
-        worst = int(np.nanargmax(extent))
+def _drop_wide(checked: Checked, labels: NDArray[Any], notices: Notices, what: str) -> None:
+    """Take out shapes longer than 500 km; if nothing but such shapes is there, refuse them."""
+    bounds = shapely.bounds(checked.shapes)
+    extent = np.nan_to_num(np.fmax(bounds[:, 2] - bounds[:, 0], bounds[:, 3] - bounds[:, 1]))
+    wide = checked.usable & (extent > EXTENT_LIMIT_M)
+    if not wide.any():
+        return
+    if wide.sum() == checked.usable.sum():
+        worst = int(extent.argmax())
         raise LimitError(
-            f"one of the {what} is too large",
+            f"the {what} are too large",
             where=labels[worst],
             found=f"{extent[worst] / 1000:,.0f} km from side to side",
             expected=f"at most {EXTENT_LIMIT_M / 1000:,.0f} km",
-            next_step="split it, or check its CRS",
+            next_step="split them, or check their CRS",
         )
+    checked.drop(wide, "too_large", "longer than 500 km")
+    notices.add("W_TOO_LARGE", f"{what} longer than 500 km, left out", int(wide.sum()), labels[wide])
 
 
 def thin_out(shape: Any) -> Any:

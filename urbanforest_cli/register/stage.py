@@ -121,7 +121,7 @@ def stencil_city(
     CrsError
         Coordinates cannot be brought to metres.
     LimitError
-        A lot has over two million vertices or is over 500 km long.
+        A lot has over two million vertices, or all are over 500 km long.
     PartlyDoneError
         The register was written, but more than `max_bad_fraction` of the lots have no usable geometry.
     """

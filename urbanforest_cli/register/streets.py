@@ -130,6 +130,12 @@ def share_in_lots(roads: Shapes, lots: Shapes) -> NDArray[np.float64]:
     return np.asarray(hit / counts)
 
 
+def roads_outside(roads: Roads, street_lots: Shapes) -> Roads:
+    """Return the roads of which at most half lies in lots that are streets themselves."""
+    bare = share_in_lots(roads.shapes, street_lots) <= COVERED_SHARE
+    return Roads(roads.shapes[bare], roads.widths_m[bare], roads.ids[bare])
+
+
 def verge_strips(roads: Roads, rules: Rules, lots: Shapes) -> Strips:
     """Return the strips for trees on both sides of roads.
 

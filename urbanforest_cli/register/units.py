@@ -24,7 +24,15 @@ from urbanforest_cli.register.lots import Lots
 from urbanforest_cli.register.plantable import Ground, Surroundings, Taken, plantable_areas
 from urbanforest_cli.register.resolve import match_zones, resolve_parameters
 from urbanforest_cli.register.sketches import density_for_cover, lot_under, numbers_of, stack_sketches
-from urbanforest_cli.register.streets import Roads, Strips, first_come, join_roads, regrouped, verge_strips
+from urbanforest_cli.register.streets import (
+    Roads,
+    Strips,
+    first_come,
+    join_roads,
+    regrouped,
+    roads_outside,
+    verge_strips,
+)
 
 STAGE = "stencil"
 
@@ -70,11 +78,12 @@ def joined(units: Sequence[Units]) -> Units:
 def street_units(
     roads: Roads, lots: Lots, config: Config, seed: int, notices: Notices, known: Sequence[str]
 ) -> Streets:
-    """Derive street strips where roads are and no lot is a street."""
+    """Derive street strips along the roads that no lot of the zone street holds."""
     rules = config.zone_rules("street")
     strips = Strips(np.empty(0, object), np.empty(0, object), np.empty(0, object))
-    if rules.derive_street_lots and len(roads.shapes) and not (lots.zones == "street").any():
-        strips = verge_strips(join_roads(roads), rules, lots.checked.shapes)
+    if rules.derive_street_lots and len(roads.shapes):
+        streets = lots.checked.shapes[lots.zones == "street"]
+        strips = verge_strips(roads_outside(join_roads(roads), streets), rules, lots.checked.shapes)
     there = ~shapely.is_missing(strips.shapes)
     ids = np.array([f"road:{road}" for road in strips.ids[there]], dtype=object)
     zones = np.full(len(ids), "street", dtype=object)
