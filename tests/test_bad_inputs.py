@@ -118,7 +118,6 @@ def test_populate_does_with_each_vector_file_what_the_index_says(bad_inputs: Pat
             seed=0,
             until="place",
             assume_crs=case.assume_crs,
-            max_bad_fraction=1,
         )
         try:
             return populate(request)[0].notices

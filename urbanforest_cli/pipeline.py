@@ -45,7 +45,7 @@ class Request:
     workers: int = 1
     assume_crs: str | None = None
     lots_layer: str | None = None
-    max_bad_fraction: float = 0.1
+    max_bad_fraction: float | None = None
 
 
 def default_out(city: Path) -> Path:

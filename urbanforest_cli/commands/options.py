@@ -48,9 +48,11 @@ workers_opt = click.option(
 assume_crs_opt = click.option("--assume-crs", metavar="EPSG:CODE", help="CRS of input that states none.")
 overwrite_opt = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 max_bad_opt = click.option(
-    "--max-bad", "max_bad_fraction", type=click.FloatRange(0, 1), default=0.1, show_default=True,
-    help="Share of lots with unusable geometry above which the exit code is 3.",
-)  # fmt: skip
+    "--max-bad",
+    "max_bad_fraction",
+    type=click.FloatRange(0, 1),
+    help="Share of lots with unusable geometry above which the exit code is 3.  [default: 0.1, from 20 lots on]",
+)
 layer_opt = click.option("--layer", "lots_layer", metavar="NAME", help="Layer that holds the lots.")
 register_arg = click.argument("register", type=FilePath())
 

@@ -35,7 +35,7 @@ def command(
     workers: int,
     assume_crs: str | None,
     lots_layer: str | None,
-    max_bad_fraction: float,
+    max_bad_fraction: float | None,
     dry_run: bool,
     as_json: bool,
 ) -> None:

@@ -31,7 +31,7 @@ def command(
     workers: int,
     assume_crs: str | None,
     lots_layer: str | None,
-    max_bad_fraction: float,
+    max_bad_fraction: float | None,
     overwrite: bool,
     as_json: bool,
 ) -> None:

@@ -21,6 +21,7 @@ from urbanforest_cli import __version__
 from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.crs import reproject, reproject_xy
 from urbanforest_cli.core.errors import ConfigError
+from urbanforest_cli.core.kernels import announce_compile
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.params import PARAMETERS
 from urbanforest_cli.core.progress import Progress, silent
@@ -34,7 +35,7 @@ from urbanforest_cli.files.species import load_catalogue
 from urbanforest_cli.placement.city_wide import place_in_waves
 from urbanforest_cli.placement.seeds import ROUNDING_TOLERATED, Seeds, draw_seeds
 from urbanforest_cli.placement.sites import Positions, Sites
-from urbanforest_cli.placement.strategies import strategy_named
+from urbanforest_cli.placement.strategies import KERNELS, strategy_named
 from urbanforest_cli.placement.thinning import index_within, kept_by_count, kept_by_hash
 
 STAGE = "place"
@@ -231,6 +232,8 @@ def _place(
 ) -> _Placed:
     keys = keys_for(seed, STAGE, city.lot_ids)
     settings = config.placement
+    names = sorted(set(city.strategy[todo]))
+    announce_compile([kernel for name in names for kernel in KERNELS.get(name, ())], progress)
 
     def positions_of(batch: tuple[str, NDArray[np.int64]]) -> Positions:
         name, chosen = batch

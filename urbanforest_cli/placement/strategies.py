@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import entry_points
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import shapely
@@ -19,11 +20,14 @@ from urbanforest_cli.core.config import Placement
 from urbanforest_cli.core.errors import ConfigError
 from urbanforest_cli.core.params import ENTRY_POINT_GROUP, strategy_names
 from urbanforest_cli.core.randomness import hash_uniform, rng_from_key
+from urbanforest_cli.placement.axis_kernel import axes_of_parts
 from urbanforest_cli.placement.equidistant import equidistant
 from urbanforest_cli.placement.inside import inside_by_margin
 from urbanforest_cli.placement.lattice import regular
 from urbanforest_cli.placement.poisson import SampleState, sample_saturated
+from urbanforest_cli.placement.poisson_kernel import fill_areas
 from urbanforest_cli.placement.radii import truncated_radii
+from urbanforest_cli.placement.row_kernel import rows_along_chains
 from urbanforest_cli.placement.sites import Positions, Sites
 from urbanforest_cli.placement.uniform import uniform_points
 
@@ -134,6 +138,15 @@ BUILT_IN: dict[str, Strategy] = {
     "single": single,
     "regular": regular,
 }
+
+
+KERNELS: dict[str, tuple[Any, ...]] = {
+    "random": (fill_areas,),
+    "boundary": (fill_areas,),
+    "cluster": (fill_areas,),
+    "equidistant": (axes_of_parts, rows_along_chains),
+}
+"""Compiled functions that a strategy spends its time in, and that take time to compile."""
 
 
 def strategy_named(name: str) -> Strategy:

@@ -58,6 +58,8 @@ KINDS = {
     "sketches": ("polygon",),
 }
 BAD_REASONS = ("no_geometry", "not_finite", "broken_ring", "not_polygon", "misplaced", "no_area")
+SHARE_SPEAKS_FROM = 20
+DEFAULT_MAX_BAD_FRACTION = 0.1
 SIDECARS = (".shx", ".dbf", ".prj", ".cpg")
 Shapes = NDArray[Any]
 
@@ -178,9 +180,14 @@ def stencil_city(
     return summary
 
 
-def refuse_too_many_bad(summary: StageSummary, max_bad_fraction: float, city: Path) -> None:
-    """Raise `PartlyDoneError` if more of the lots than allowed have no usable geometry."""
+def refuse_too_many_bad(summary: StageSummary, max_bad_fraction: float | None, city: Path) -> None:
+    """Raise `PartlyDoneError` if more of the lots than allowed have no usable geometry.
+
+    Where no share is given it is 10 %, from 20 lots on: of a handful, a share says nothing.
+    """
     bad, rows = int(summary.counts["lots_bad"]), int(summary.counts["lots"])
+    if max_bad_fraction is None:
+        max_bad_fraction = DEFAULT_MAX_BAD_FRACTION if rows >= SHARE_SPEAKS_FROM else 1.0
     if bad > max_bad_fraction * rows:
         raise PartlyDoneError(
             "done, but too many lots have unusable geometry",
