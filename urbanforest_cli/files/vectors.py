@@ -12,6 +12,7 @@ import sqlite3
 import warnings
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -160,10 +161,17 @@ def _check_database(path: Path, form: VectorFormat) -> None:
     """Refuse a GeoPackage whose pages or records contradict each other."""
     if form is not GEOPACKAGE:
         return
-    with closing(_connect(path)) as database:
-        faults = [row[0] for row in database.execute("PRAGMA quick_check(3)") if row[0] != "ok"]
+    state = path.stat()
+    faults = _database_faults(path, state.st_size, state.st_mtime_ns)
     if faults:
         raise RuntimeError("the database is damaged: " + "; ".join(faults))
+
+
+@lru_cache(maxsize=16)
+def _database_faults(path: Path, size: int, mtime_ns: int) -> tuple[str, ...]:
+    """Return what SQLite finds wrong with a file; once for all its layers, as long as it does not change."""
+    with closing(_connect(path)) as database:
+        return tuple(row[0] for row in database.execute("PRAGMA quick_check(3)") if row[0] != "ok")
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -302,9 +310,11 @@ def _straightened(
     notices: Notices,
 ) -> NDArray[Any]:
     """Replace curves by their chords; GDAL's steps of 4 degrees keep within 0.06 % of a radius."""
-    curved = np.array([piece is not None and _wkb_type(piece) in _CURVED_WKB for piece in pieces], dtype=bool)
-    if not curved.any():
+    heads = {piece[:5] for piece in pieces if piece is not None}
+    curves = {head for head in heads if _wkb_type(head) in _CURVED_WKB}
+    if not curves:
         return pieces
+    curved = np.array([piece is not None and piece[:5] in curves for piece in pieces], dtype=bool)
     _, chord_fids, chords, _ = pyogrio.raw.read(
         _source(path, form), layer=layer, columns=[], force_2d=True, return_fids=True, fids=fids[curved]
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import entry_points
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -112,8 +111,13 @@ def cluster_areas(sites: Sites, settings: Placement) -> NDArray[np.object_]:
         count = np.where(most > 0, 1 + np.floor(chance * most).astype(np.int64), 0)
     owner, centres = uniform_points(sites.areas, sites.keys ^ np.uint64(0xC2), count)
     discs = shapely.buffer(shapely.points(centres), sites.values["cluster_radius_m"][owner], quad_segs=2 * ARC_SEGMENTS)
+    unions = np.full(len(sites.areas), shapely.Polygon(), dtype=object)
+    discs_a_lot = np.bincount(owner, minlength=len(sites.areas))
+    alone = discs_a_lot[owner] == 1
+    unions[owner[alone]] = discs[alone]
     starts = np.searchsorted(owner, np.arange(len(sites.areas) + 1))
-    unions = np.array([shapely.union_all(discs[a:b]) for a, b in pairwise(starts)], dtype=object)
+    for lot in np.flatnonzero(discs_a_lot > 1):
+        unions[lot] = shapely.union_all(discs[starts[lot] : starts[lot + 1]])
     return np.asarray(shapely.intersection(sites.areas, unions))
 
 
