@@ -118,3 +118,27 @@ def test_realised_radii_are_those_asked_for(saturated_astoria):
         radius = plants["envelope_radius_m"][(sizes >= few) & (sizes < many)]
         assert radius.mean() == pytest.approx(3.13, rel=0.03), (few, many)
         assert radius.var() == pytest.approx(0.35, rel=0.15), (few, many)
+
+
+def test_lots_in_feet_degrees_mercator_or_metres_get_the_same_plants(real_data, tmp_path):
+    config = load_config(environment={}).config
+    lots = pyogrio.read_dataframe(real_data / "nyc_astoria" / "astoria.gpkg", max_features=600)
+    lots = lots[lots.geometry.is_valid][["landuse", "geometry"]].reset_index(drop=True)
+    lots["lot_id"] = [f"lot {row}" for row in lots.index]
+    lots["zone"] = np.array(["residential", "commercial", "industrial", "other"], dtype=object)[lots.index % 4]
+    found = {}
+    for code in (2263, 4326, 3857, 32618):
+        city = tmp_path / f"city-{code}.gpkg"
+        pyogrio.write_dataframe(lots.to_crs(code), city, layer="lots", driver="GPKG")
+        out = tmp_path / str(code)
+        populate(Request(city=city, out=out, config=config, seed=2, until="place"))
+        plants = read_layer(out / "register.gpkg", "plants")
+        assert plants.crs.to_epsg() == code
+        found[code] = plants.to_crs(32618).set_index("plant_id").sort_index()
+    metres = found.pop(32618)
+    assert len(metres) > 1000
+    for code, plants in found.items():
+        assert plants.index.tolist() == metres.index.tolist(), code
+        assert plants["species"].tolist() == metres["species"].tolist()
+        gap = np.hypot(plants.geometry.x - metres.geometry.x, plants.geometry.y - metres.geometry.y)
+        assert gap.max() < 1e-3, code
