@@ -12,7 +12,7 @@ from types import FrameType
 import click
 
 from urbanforest_cli import __version__
-from urbanforest_cli.core.cache import ensure_cache_folder
+from urbanforest_cli.core.cache import ensure_cache_folders
 from urbanforest_cli.core.errors import EXIT_INTERNAL, EXIT_IO, UrbanForestError
 
 COMMANDS = {
@@ -96,7 +96,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 def run() -> None:
     """Run the command line and leave with the documented exit code."""
-    ensure_cache_folder()
+    ensure_cache_folders()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _stop)
     sys.exit(guarded(sys.argv[1:]))
