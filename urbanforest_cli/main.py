@@ -108,7 +108,7 @@ def guarded(arguments: list[str]) -> int:
         cli.main(args=arguments, prog_name="urbanforest", standalone_mode=False)
         sys.stdout.flush()
     except _Stopped as stopped:
-        _say(f"Stopped by signal {stopped.number}; what was published stays, the rest was removed.")
+        _say(f"Stopped by signal {stopped.number}. Outputs are as they were; the next run goes on from the last stage.")
         return 128 + stopped.number
     except click.exceptions.Exit as done:
         return int(done.exit_code)

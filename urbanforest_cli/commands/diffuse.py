@@ -29,7 +29,7 @@ def command(
     from urbanforest_cli.context.stage import diffuse_parameters
     from urbanforest_cli.core.publish import folder_lock
 
-    config, seed = options.load(config_path, settings, seed)
+    config, seed = options.load(config_path, settings, seed, register)
     with folder_lock(register.parent), options.progress() as progress:
         summary = diffuse_parameters(register, config=config, seed=seed, progress=progress)
     options.tell([summary], as_json)

@@ -88,6 +88,18 @@ def stack(*decorators: Callable[[Function], Function]) -> Callable[[Function], F
 config_opts = stack(config_opt, set_opt, seed_opt)
 
 
+def city_and_layer(city: Path, lots_layer: str | None) -> tuple[Path, str | None]:
+    """Take ``FILE:LAYER`` apart, and refuse a file that is not there before anything slow is loaded."""
+    path, colon, layer = str(city).rpartition(":")
+    if colon and not city.exists() and Path(path).exists():
+        return Path(path), lots_layer or layer
+    if not city.exists() and "//" not in str(city) and ":/" not in str(city):
+        from urbanforest_cli.core.errors import InputError
+
+        raise InputError("no such file", where=city, next_step="check the path")
+    return city, lots_layer
+
+
 def quiet() -> bool:
     """Tell whether the user asked for silence."""
     return verbosity() == "quiet"
@@ -99,12 +111,22 @@ def verbosity() -> str | None:
     return context.meta.get("urbanforest.verbosity") if context is not None else None
 
 
-def load(config_path: Path | None, settings: Iterable[str], seed: int | None) -> tuple[Config, int]:
-    """Load the config in force and the seed."""
+def load(
+    config_path: Path | None, settings: Iterable[str], seed: int | None, register: Path | None = None
+) -> tuple[Config, int]:
+    """Load the config in force and the seed; a stage that goes on with a register goes on with its config."""
+    base = None
+    if register is not None and config_path is None:
+        from urbanforest_cli.files.provenance import require_record
+
+        record = require_record(register, "stencil")
+        base = {**record.config, "seed": record.seed}
     from urbanforest_cli.core.params import strategy_names
     from urbanforest_cli.files.configs import load_config
 
-    config = load_config(config_path, settings=tuple(settings), seed=seed, known_strategies=strategy_names()).config
+    config = load_config(
+        config_path, settings=tuple(settings), seed=seed, known_strategies=strategy_names(), base=base
+    ).config
     return config, config.seed
 
 
@@ -120,7 +142,8 @@ def progress() -> Iterator[Progress]:
         format="%(levelname)s %(name)s: %(message)s",
     )
     logging.getLogger("numba").setLevel(logging.WARNING)
-    logging.getLogger("matplotlib").setLevel(logging.WARNING)
+    for name in ("matplotlib", "PIL"):
+        logging.getLogger(name).setLevel(logging.WARNING)
     if quiet():
         yield silent
     elif sys.stderr.isatty():
@@ -182,4 +205,6 @@ def tell(summaries: Iterable[StageSummary], as_json: bool) -> None:
 
 
 def _number(value: float | str) -> str:
-    return f"{value:,}" if isinstance(value, int) else f"{value:.3g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+    return f"{value:,}" if isinstance(value, int) else value

@@ -29,7 +29,7 @@ def command(
     from urbanforest_cli.core.publish import folder_lock
     from urbanforest_cli.placement.stage import place_plants
 
-    config, seed = options.load(config_path, settings, seed)
+    config, seed = options.load(config_path, settings, seed, register)
     with folder_lock(register.parent), options.progress() as progress:
         summary = place_plants(register, config=config, seed=seed, workers=workers, progress=progress)
     options.tell([summary], as_json)

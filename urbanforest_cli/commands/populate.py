@@ -49,6 +49,7 @@ def command(
         urbanforest populate rome.gpkg
         urbanforest populate rome.gpkg -o rome-dense -c dense.toml --seed 7
     """
+    city, lots_layer = options.city_and_layer(city, lots_layer)
     from urbanforest_cli import pipeline
 
     config, seed = options.load(config_path, settings, seed)

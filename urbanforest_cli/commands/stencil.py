@@ -53,6 +53,7 @@ def command(
         raise OutputExistsError(
             "the register exists", where=register, next_step="name another with -o, or add --overwrite"
         )
+    city, lots_layer = options.city_and_layer(city, lots_layer)
     config, seed = options.load(config_path, settings, seed)
     with folder_lock(register.parent), options.progress() as progress:
         summary = stencil_city(

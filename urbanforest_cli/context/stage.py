@@ -22,7 +22,7 @@ from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.schema import RESOLVED_PREFIX
 from urbanforest_cli.core.summary import StageSummary
 from urbanforest_cli.files.geopackage import read_layer, write_layers
-from urbanforest_cli.files.provenance import Record, provenance_frame, require_record, stage_key
+from urbanforest_cli.files.provenance import Record, note_settled_config, provenance_frame, require_record, stage_key
 
 STAGE = "diffuse"
 LATER_STAGES = ("place", "grow", "export")
@@ -51,6 +51,7 @@ def diffuse_parameters(register: Path, *, config: Config, seed: int, progress: P
     parameters = read_layer(register, "parameters", geometry=False)
     centres, zones = _places(lots, parameters["lot_id"], stencil.working_crs)
     notices = Notices()
+    note_settled_config(stencil, config, notices)
     placeless = np.flatnonzero(~np.isfinite(centres).all(axis=1))
     examples = parameters["lot_id"].iloc[placeless[:5]]
     notices.add("W_NO_CONTEXT", "lots without a place keep their own values", len(placeless), examples)

@@ -37,6 +37,10 @@ class Rules(Section):
     sight_triangle_m: Metres = Field(9.0, description="leg of the triangle kept free at road intersections")
     road_width_m: Metres = Field(7.0, description="width of a road that states none")
     derive_street_lots: bool = Field(True, description="make street lots from roads where the register has none")
+    treeless_road_kinds: tuple[str, ...] = Field(
+        ("footway", "path", "steps", "cycleway", "bridleway", "track", "service", "corridor", "platform", "elevator"),
+        description="kinds of roads along which no street trees are set",
+    )
     obstacle_clearance_m: dict[str, Metres] = Field(
         default_factory=lambda: {
             "default": 1.5,
@@ -119,7 +123,7 @@ class Export(Section):
 _RULE_OVERRIDES: dict[str, Any] = {
     name: (item.rebuild_annotation() | None, Field(None, description=item.description))
     for name, item in Rules.model_fields.items()
-    if name not in {"derive_street_lots", "obstacle_clearance_m"}
+    if name not in {"derive_street_lots", "treeless_road_kinds", "obstacle_clearance_m"}
 }
 ZoneRules = create_model("ZoneRules", __base__=Section, **_RULE_OVERRIDES)
 

@@ -9,7 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
+from hashlib import sha256
 from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, Literal
 
 Kind = Literal["length", "variance", "fraction", "count", "angle", "years"]
@@ -137,3 +140,18 @@ PARAMETERS: dict[str, Parameter] = {parameter.name: parameter for parameter in _
 def strategy_names() -> tuple[str, ...]:
     """Return the names of all placement strategies, those that other packages bring last."""
     return STRATEGIES + tuple(sorted(point.name for point in entry_points(group=ENTRY_POINT_GROUP)))
+
+
+def plugin_prints() -> list[str]:
+    """Return what tells one state of the strategies of other packages from another: version and source of each."""
+    prints = []
+    for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name):
+        version = point.dist.version if point.dist is not None else ""
+        try:
+            spec = find_spec(point.module)
+        except (ImportError, ValueError):
+            spec = None
+        source = Path(spec.origin) if spec is not None and spec.origin else None
+        content = sha256(source.read_bytes()).hexdigest() if source is not None and source.is_file() else ""
+        prints.append(f"{point.name}={point.value} {version} {content}")
+    return prints

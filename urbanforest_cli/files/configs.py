@@ -7,6 +7,7 @@ import json
 import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,7 @@ def load_config(
     seed: int | None = None,
     known_strategies: Sequence[str] = STRATEGIES,
     environment: Mapping[str, str] | None = None,
+    base: Mapping[str, Any] | None = None,
 ) -> LoadedConfig:
     """Load the config in force: option over environment over file over default.
 
@@ -63,14 +65,16 @@ def load_config(
         A config file, the name of a shipped one (``paper/positional_a``), or None.
     settings
         Options of the form ``rules.building_clearance_m=5``.
+    base
+        The config that made a register, to go on with instead of the default.
 
     Raises
     ------
     ConfigError
         With every mistake found, one a line, each with its origin and a suggestion.
     """
-    merged = read_toml(default_config_path())
-    origins = dict.fromkeys(_leaves(merged), "default")
+    merged = read_toml(default_config_path()) if base is None else deepcopy(dict(base))
+    origins = dict.fromkeys(_leaves(merged), "default" if base is None else "register")
     if path is not None:
         path = find_config(path)
         own = read_toml(path)

@@ -181,6 +181,8 @@ def read_layer(
         read_geometry=geometry and (layer is None or layer.geometry is not None),
         use_arrow=True,
     )
+    if frame.empty:  # texts without a row come as arrays without a chunk, which pandas cannot join
+        frame = frame.astype({name: object for name in frame.columns if pd.api.types.is_string_dtype(frame[name])})
     if check and layer is not None and columns is None:
         check_layer(frame, name, where=path)
     return frame

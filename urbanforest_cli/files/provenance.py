@@ -17,7 +17,7 @@ from urbanforest_cli.core.errors import SchemaError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.publish import sha256_of
 from urbanforest_cli.core.schema import REGISTER_VERSION
-from urbanforest_cli.files.geopackage import layer_names, read_layer, timestamp
+from urbanforest_cli.files.geopackage import layer_names, read_layer, refuse_foreign, timestamp
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Record:
             "working_crs": self.working_crs.to_wkt(),
             "config": json.dumps(self.config, sort_keys=True, ensure_ascii=False),
             "inputs": json.dumps(self.inputs, sort_keys=True, ensure_ascii=False),
-            "counts": json.dumps(self.counts, sort_keys=True, ensure_ascii=False),
+            "counts": json.dumps(self.counts, ensure_ascii=False),
             "warnings": json.dumps(self.notices.as_records(), ensure_ascii=False),
             "written_at": timestamp(),
         }
@@ -65,8 +65,9 @@ def stage_key(stage: str, *, config: Config, seed: int, inputs: list[str], secti
 
 def read_records(path: Path) -> dict[str, Record]:
     """Read a register's records by stage."""
-    if not path.exists() or "provenance" not in layer_names(path):
+    if not path.exists():
         return {}
+    refuse_foreign(path)
     records = {}
     for row in read_layer(path, "provenance", geometry=False).to_dict("records"):
         records[row["stage"]] = Record(
@@ -83,6 +84,16 @@ def read_records(path: Path) -> dict[str, Record]:
     return records
 
 
+def note_settled_config(record: Record, config: Config, notices: Notices) -> None:
+    """Count a warning where the config names other rules or zones than those that made the register."""
+    now = config.model_dump(mode="json", exclude_none=True)
+    if any(now.get(section, {}) != record.config.get(section, {}) for section in ("rules", "zones")):
+        notices.add(
+            "W_CONFIG_SETTLED",
+            "registers made with other [rules] or [zones], which stay in force (`urbanforest stencil` changes them)",
+        )
+
+
 def require_record(path: Path, stage: str) -> Record:
     """Read the record of one stage.
 
@@ -91,6 +102,7 @@ def require_record(path: Path, stage: str) -> Record:
     SchemaError
         The stage has not run.
     """
+    refuse_foreign(path)
     records = read_records(path)
     if stage not in records:
         raise SchemaError(

@@ -242,10 +242,14 @@ def _read_with_gdal(
 ) -> tuple[pd.DataFrame, CRS | None]:
     # Rows come through Arrow: the other way reads no further than the count a GeoPackage remembers.
     options = {"DOWNLOAD_SCHEMA": "NO"} if form is GML else {}
-    meta, table = pyogrio.raw.read_arrow(
-        _source(path, form), layer=layer, columns=_list(columns), return_fids=True, **options
-    )
-    names = table.column_names
+    wanted = {"layer": layer, "columns": _list(columns), "return_fids": True, **options}
+    meta, table = pyogrio.raw.read_arrow(_source(path, form), **wanted)
+    try:
+        names = table.column_names
+    except UnicodeDecodeError:  # in an older encoding, which the file does not state
+        meta, table = pyogrio.raw.read_arrow(_source(path, form), encoding="cp1252", **wanted)
+        names = table.column_names
+        notices.add("W_ENCODING", "texts that are not UTF-8, read as Windows-1252", 1, [f"{where} names of columns"])
     shape_place = names.index(meta["geometry_name"] or "wkb_geometry")
     # The row numbers come first; GeoJSON gives them the name of its property "id".
     fids = table.column(0).to_numpy()

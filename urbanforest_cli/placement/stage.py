@@ -20,17 +20,24 @@ from pyproj import CRS
 from urbanforest_cli import __version__
 from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.crs import reproject, reproject_xy
-from urbanforest_cli.core.errors import ConfigError
+from urbanforest_cli.core.errors import ConfigError, SchemaError
 from urbanforest_cli.core.kernels import announce_compile
 from urbanforest_cli.core.notices import Notices
-from urbanforest_cli.core.params import PARAMETERS
+from urbanforest_cli.core.params import PARAMETERS, plugin_prints
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.randomness import keys_for
 from urbanforest_cli.core.schema import SKIP_REASONS
 from urbanforest_cli.core.species import Catalogue
 from urbanforest_cli.core.summary import StageSummary
 from urbanforest_cli.files.geopackage import layer_names, read_layer, write_layers
-from urbanforest_cli.files.provenance import Record, provenance_frame, read_records, require_record, stage_key
+from urbanforest_cli.files.provenance import (
+    Record,
+    note_settled_config,
+    provenance_frame,
+    read_records,
+    require_record,
+    stage_key,
+)
 from urbanforest_cli.files.species import load_catalogue
 from urbanforest_cli.placement.city_wide import place_in_waves
 from urbanforest_cli.placement.seeds import ROUNDING_TOLERATED, Seeds, draw_seeds
@@ -45,7 +52,9 @@ LOTS_A_BATCH = 4096
 def place_key(before: str, *, config: Config, seed: int, catalogue: Catalogue) -> str:
     """Return the hash of all that decides this stage's result, `before` being the key of the stage before it."""
     species = json.dumps([asdict(kind) for kind in catalogue], sort_keys=True)
-    return stage_key(STAGE, config=config, seed=seed, inputs=[before, species], sections=("placement", "species"))
+    return stage_key(
+        STAGE, config=config, seed=seed, inputs=[before, species, *plugin_prints()], sections=("placement", "species")
+    )
 
 
 def place_plants(
@@ -100,6 +109,7 @@ def place_plants(
         "lots_reused": int(len(city.lot_ids) - todo.sum()),
     }
     notices = Notices()
+    note_settled_config(records["stencil"], config, notices)
     refused = placements.loc[placements["outcome"] == "too_many_plants", "lot_id"]
     notices.add(
         "W_TOO_MANY_PLANTS",
@@ -344,13 +354,16 @@ def _previous_plants(register: Path, city: _City) -> _Kept | None:
     """Return the plants of lots whose key is the one of an earlier run."""
     if not register.exists() or not {"plants", "placements"} <= set(layer_names(register)):
         return None
-    placements = read_layer(register, "placements", geometry=False)
+    try:
+        placements = read_layer(register, "placements", geometry=False)
+        plants = read_layer(register, "plants")
+    except SchemaError:  # another version's, or changed by hand: what is about to be written again is no fault
+        return None
     now = pd.Series(city.lot_keys, index=city.lot_ids)
     same = placements["lot_id"].map(now).to_numpy() == placements["place_key"].to_numpy()
     placements = placements[same]
     if placements.empty:
         return None
-    plants = read_layer(register, "plants")
     return _Kept(plants[plants["lot_id"].isin(placements["lot_id"])], placements)
 
 

@@ -166,7 +166,7 @@ def strategy_named(name: str) -> Strategy:
     for point in entry_points(group=ENTRY_POINT_GROUP):
         if point.name == name:
             try:
-                return lot_by_lot(point.load())
+                return lot_by_lot(point.load(), name)
             except (ImportError, AttributeError) as error:
                 raise ConfigError(f"strategy {name!r} cannot be loaded", where=point.value, found=str(error)) from error
     raise ConfigError(f"unknown strategy {name!r}", expected=", ".join(strategy_names()))
@@ -178,7 +178,7 @@ LotStrategy = Callable[
 ]
 
 
-def lot_by_lot(place: LotStrategy) -> Strategy:
+def lot_by_lot(place: LotStrategy, name: str) -> Strategy:
     """Turn a function of one lot into a strategy.
 
     ``place(lot, area, values, rng)`` gets the lot, the ground left in it, its parameters by name and a generator of
@@ -189,9 +189,7 @@ def lot_by_lot(place: LotStrategy) -> Strategy:
         owners, positions, radii = [], [], []
         for index, (lot, area, key) in enumerate(zip(sites.lots, sites.areas, sites.keys, strict=True)):
             values = {name: float(column[index]) for name, column in sites.values.items()}
-            xy, radius = place(lot, area, values, rng_from_key(int(key)))
-            xy = np.asarray(xy, dtype=float).reshape(-1, 2)
-            radius = np.broadcast_to(np.asarray(radius, dtype=float), len(xy))
+            xy, radius = _asked(place, name, sites.lot_ids[index], (lot, area, values, rng_from_key(int(key))))
             inside = inside_by_margin(np.array([area], dtype=object), np.zeros(len(xy), dtype=np.int64), xy)
             owners.append(np.full(int(inside.sum()), index))
             positions.append(xy[inside])
@@ -201,3 +199,25 @@ def lot_by_lot(place: LotStrategy) -> Strategy:
         return Positions(np.concatenate(owners), np.concatenate(positions), np.concatenate(radii))
 
     return strategy
+
+
+def _asked(
+    place: LotStrategy, name: str, lot_id: object, arguments: tuple[Any, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Call another package's strategy and check what it returns; whatever goes wrong is told with its name."""
+    try:
+        xy, radius = place(*arguments)
+        xy = np.asarray(xy, dtype=float).reshape(-1, 2)
+        radius = np.broadcast_to(np.asarray(radius, dtype=float), len(xy))
+        fault = None if np.isfinite(xy).all() and (np.isfinite(radius) & (radius > 0)).all() else "numbers that are not"
+    except Exception as error:  # noqa: BLE001 the code is another package's and may raise anything
+        fault = f"{type(error).__name__}: {error}"
+    if fault is not None:
+        raise ConfigError(
+            f"strategy {name!r}, which another package brings, failed",
+            where=f"lot {lot_id}",
+            found=fault,
+            expected="(n, 2) finite positions and radii above 0",
+            next_step="mend that package, or use another strategy",
+        )
+    return xy, radius

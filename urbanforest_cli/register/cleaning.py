@@ -339,12 +339,14 @@ def overlaps(shapes: Shapes, ids: NDArray[Any], *, least_m2: float) -> tuple[NDA
     if rows.size < 2:
         return nothing, nothing
     edges = shapely.coverage_invalid_edges(shapes[rows])
-    rows = rows[~(shapely.is_missing(edges) | shapely.is_empty(edges))]
-    if not rows.size:
+    odd = rows[~(shapely.is_missing(edges) | shapely.is_empty(edges))]
+    if not odd.size:
         return nothing, nothing
-    one, other = shapely.STRtree(shapes[rows]).query(shapes[rows])
-    once = one < other
-    one, other = rows[one[once]], rows[other[once]]
+    # Of a lot inside another only the inner one has an edge where none should be.
+    one, other = shapely.STRtree(shapes[rows]).query(shapes[odd])
+    one, other = odd[one], rows[other]
+    pairs = np.unique(np.sort(np.column_stack((one, other))[one != other], axis=1), axis=0)
+    one, other = pairs[:, 0], pairs[:, 1]
     common = _common_area(shapes[one], shapes[other])
     areas = shapely.area(shapes)
     smaller = np.minimum(areas[one], areas[other])

@@ -89,7 +89,7 @@ def lines_of(shapes: Shapes) -> tuple[Shapes, NDArray[np.int64]]:
 
 def roads_of(frame: gpd.GeoDataFrame, project: Project, rules: Rules, notices: Notices) -> Roads:
     """Return a city's roads with their widths; one that states none has the width of the rules."""
-    frame = plain_columns(frame, ("width_m", *ROAD_ID_COLUMNS), "layer 'roads'")
+    frame = plain_columns(frame, ("width_m", "kind", *ROAD_ID_COLUMNS), "layer 'roads'")
     shapes, row = lines_of(shapes_in_metres(frame, "roads", project, notices))
     widths = numbers(frame, "width_m")[row]
     lines = shapely.get_dimensions(shapes) == 1
@@ -98,7 +98,8 @@ def roads_of(frame: gpd.GeoDataFrame, project: Project, rules: Rules, notices: N
         "W_ROAD_WIDTH", f"roads without a usable width, taken as {rules.road_width_m:g} m", int((unknown & lines).sum())
     )
     widths = np.where(unknown, rules.road_width_m, widths)
-    return Roads(shapes, np.where(lines, widths, 0.0), _road_ids(frame)[row])
+    kinds = np.char.lower(text(frame, "kind").astype(str)).astype(object)
+    return Roads(shapes, np.where(lines, widths, 0.0), _road_ids(frame)[row], kinds[row])
 
 
 def _road_ids(frame: gpd.GeoDataFrame) -> NDArray[np.object_]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from urbanforest_cli.core.params import PARAMETERS, STRATEGIES
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.publish import sha256_of
 from urbanforest_cli.core.summary import StageSummary
+from urbanforest_cli.core.zones import ZONES
 from urbanforest_cli.files.geopackage import write_layers
 from urbanforest_cli.files.provenance import Record, stage_key
 from urbanforest_cli.files.vector_formats import SHAPEFILE, vector_format
@@ -145,6 +147,7 @@ def stencil_city(
     around = surroundings_of(layers, roads, lots.project, config.rules, notices)
     around_counts = {name: len(layers[name]) for name in KINDS if name in layers and name != "sketches"}
     layers = {name: found for name, found in layers.items() if name == "sketches"}
+    _note_what_is_missing(around_counts, lots.zones, config, notices, city)
     own = attributes[[name for name in ("strategy", *PARAMETERS) if name in attributes]]
     announce_compile(KERNELS, progress)
     parameters = resolve_parameters(
@@ -198,6 +201,22 @@ def refuse_too_many_bad(summary: StageSummary, max_bad_fraction: float | None, c
         )
 
 
+def _note_what_is_missing(
+    counts: dict[str, int], zones: NDArray[np.object_], config: Config, notices: Notices, city: Path
+) -> None:
+    """Tell of what a planner would miss on the map: no buildings, or a zone of the config that no lot is in."""
+    if not counts.get("buildings") and len(zones):
+        notices.add(
+            "W_NO_BUILDINGS", "cities without buildings, their lots planted as if nothing stood there", 1, [city]
+        )
+    there = set(zones) | set(ZONES) | {"default"}
+    for zone in config.zones:
+        if zone not in there:
+            near = get_close_matches(zone, sorted(set(zones) | set(ZONES)), n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            notices.add("W_ZONE_UNUSED", "zones of the config that no lot is in", 1, [f"{zone}{hint}"])
+
+
 def _read(
     city: Path, assume_crs: str | None, lots_layer: str | None, notices: Notices
 ) -> tuple[gpd.GeoDataFrame, dict[str, gpd.GeoDataFrame]]:
@@ -206,6 +225,13 @@ def _read(
         warnings.simplefilter("ignore")  # whoever reads the layer counts what is said of it
         kinds_of = {name: kind for name, kind in list_vector_layers(city) if kind is not None}
     names = list(kinds_of)
+    if {"lots", "active_areas"} <= set(names):
+        raise InputError(
+            "this is a register, an output of this program",
+            where=city,
+            expected="a city: lots and what stands on them",
+            next_step="name the city it was made from",
+        )
     others = [name for name, kind in kinds_of.items() if name not in KINDS and "polygon" in kind.lower()]
     if lots_layer is None and (LOTS in names or len(others) == 1):
         lots_layer = LOTS if LOTS in names else others[0]

@@ -32,6 +32,7 @@ class Roads:
     shapes: Shapes
     widths_m: NDArray[np.float64]
     ids: NDArray[np.object_]
+    kinds: NDArray[np.object_] | None = None
 
 
 @dataclass(frozen=True)
@@ -134,6 +135,14 @@ def roads_outside(roads: Roads, street_lots: Shapes) -> Roads:
     """Return the roads of which at most half lies in lots that are streets themselves."""
     bare = share_in_lots(roads.shapes, street_lots) <= COVERED_SHARE
     return Roads(roads.shapes[bare], roads.widths_m[bare], roads.ids[bare])
+
+
+def roads_with_trees(roads: Roads, rules: Rules) -> Roads:
+    """Return the roads along which trees are set: those of a kind not named in `treeless_road_kinds`."""
+    if roads.kinds is None:
+        return roads
+    planted = ~np.isin(roads.kinds, np.array(rules.treeless_road_kinds, dtype=object))
+    return Roads(roads.shapes[planted], roads.widths_m[planted], roads.ids[planted])
 
 
 def verge_strips(roads: Roads, rules: Rules, lots: Shapes) -> Strips:

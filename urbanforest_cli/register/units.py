@@ -31,6 +31,7 @@ from urbanforest_cli.register.streets import (
     join_roads,
     regrouped,
     roads_outside,
+    roads_with_trees,
     verge_strips,
 )
 
@@ -83,7 +84,9 @@ def street_units(
     strips = Strips(np.empty(0, object), np.empty(0, object), np.empty(0, object))
     if rules.derive_street_lots and len(roads.shapes):
         streets = lots.checked.shapes[lots.zones == "street"]
-        strips = verge_strips(roads_outside(join_roads(roads), streets), rules, lots.checked.shapes)
+        strips = verge_strips(
+            roads_outside(join_roads(roads_with_trees(roads, rules)), streets), rules, lots.checked.shapes
+        )
     there = ~shapely.is_missing(strips.shapes)
     ids = np.array([f"road:{road}" for road in strips.ids[there]], dtype=object)
     zones = np.full(len(ids), "street", dtype=object)
