@@ -225,7 +225,17 @@ def _read(
     path, named = split_source(source)
     if named is None and layer in dict(list_vector_layers(path)):
         named = layer
-    return read_vector(path, layer=named, columns=(), kinds=kinds, assume_crs=assume_crs, notices=notices)
+    frame = read_vector(path, layer=named, columns=(), kinds=kinds, assume_crs=assume_crs, notices=notices)
+    dimension = {"point": 0, "line": 1, "polygon": 2}
+    there = shapely.get_dimensions(frame.geometry.to_numpy())
+    if (there >= 0).any() and not np.isin(there[there >= 0], [dimension[kind] for kind in kinds]).any():
+        raise InputError(
+            f"no {' or '.join(kinds)} in this layer",
+            where=source,
+            found=", ".join(sorted(set(frame.geometry.geom_type.dropna()))),
+            next_step="name another as FILE:LAYER",
+        )
+    return frame
 
 
 def _crs_of(frame: gpd.GeoDataFrame) -> CRS:
