@@ -257,3 +257,47 @@ def test_the_report_vouches_for_every_output(sample_city, tmp_path):
         path = tmp_path / "out" / item["name"]
         assert sha256_of(path) == item["sha256"]
         assert path.stat().st_size == item["bytes"]
+
+
+def test_a_city_without_lots_is_planted_with_nothing_and_said_so(tmp_path):
+    city = tmp_path / "empty.geojson"
+    city.write_text('{"type": "FeatureCollection", "features": []}')
+    summaries = populate(request(city, tmp_path / "out"))
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == OUTPUTS
+    assert "W_EMPTY" in summaries[0].notices
+
+
+def test_a_register_is_not_taken_for_a_city(sample_city, tmp_path):
+    populate(request(sample_city, tmp_path / "out", until="place"))
+    with pytest.raises(InputError, match="an output of this program"):
+        populate(request(tmp_path / "out" / "register.gpkg", tmp_path / "again"))
+
+
+def test_a_zone_that_no_lot_is_in_is_told_with_a_suggestion(tiny_city, tmp_path):
+    summary = populate(request(tiny_city, tmp_path / "out", until="stencil", settings=["zones.residental.density=0.1"]))
+    notice = next(n for n in summary[0].notices if n.code == "W_ZONE_UNUSED")
+    assert "did you mean 'residential'?" in notice.examples[0]
+
+
+def test_stages_by_hand_go_on_with_the_registers_own_seed_and_config(sample_city, tmp_path, runner):
+    register = tmp_path / "hand" / "register.gpkg"
+    assert runner("stencil", sample_city, "-o", register, "--seed", 5, "--set", "context.passes=2").exit_code == 0
+    assert runner("diffuse", register).exit_code == 0
+    assert runner("place", register).exit_code == 0
+    outcome = runner(
+        "populate", sample_city, "-o", tmp_path / "whole", "--seed", 5, "--set", "context.passes=2", "--until", "place"
+    )
+    assert outcome.exit_code == 0, outcome.stderr
+    pd.testing.assert_frame_equal(plants_of(tmp_path / "hand"), plants_of(tmp_path / "whole"))
+    again = runner("place", register, "--set", "zones.residential.density=0.9")
+    assert "which stay in force" in again.stderr
+
+
+def test_lots_are_named_by_file_and_layer_as_by_option(tiny_city, tmp_path, runner):
+    lots = pyogrio.read_dataframe(tiny_city, layer="lots")
+    city = tmp_path / "two.gpkg"
+    for name in ("parcels", "districts"):
+        pyogrio.write_dataframe(lots, city, layer=name, driver="GPKG", append=False)
+    assert runner("populate", city, "-o", tmp_path / "a", "--until", "stencil").exit_code == 2
+    assert runner("populate", f"{city}:parcels", "-o", tmp_path / "a", "--until", "stencil").exit_code == 0
+    assert runner("populate", city, "--layer", "parcels", "-o", tmp_path / "b", "--until", "stencil").exit_code == 0

@@ -181,3 +181,21 @@ def test_without_that_package_the_config_is_refused(tiny_city, tmp_path, runner)
     assert outcome.exit_code == 2
     assert "orchard" in outcome.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_plug_in_that_changes_is_noticed(orchard):
+    from urbanforest_cli.core.params import plugin_prints
+
+    before = plugin_prints()
+    (orchard / "orchard.py").write_text("def orchard(lot, area, values, rng):\n    return [], []\n")
+    assert plugin_prints() != before
+
+
+@pytest.mark.parametrize("body", ["raise ValueError('boom')", "return [1, 2, 3]", "return [[1, 1]], float('nan')"])
+def test_a_plug_in_that_fails_is_named_with_the_lot(body):
+    from urbanforest_cli.placement.strategies import lot_by_lot
+
+    scope: dict = {}
+    exec(f"def place(lot, area, values, rng):\n    {body}\n", scope)
+    with pytest.raises(ConfigError, match="lot lot0: strategy 'theirs'"):
+        lot_by_lot(scope["place"], "theirs")(sites([SQUARE]), SETTINGS)

@@ -266,3 +266,11 @@ def test_neighbours_that_overlap_by_a_hand_are_left_alone():
 
 def test_ids_are_ordered_as_numbers_where_they_are_numbers():
     assert sorted(["10", "9", "b", "1a", "0"], key=id_order) == ["0", "9", "10", "1a", "b"]
+
+
+def test_a_lot_inside_another_is_an_overlap():
+    from urbanforest_cli.register.cleaning import overlaps
+
+    lots = np.array([shapely.box(0, 0, 100, 100), shapely.box(40, 40, 60, 60), shapely.box(100, 0, 200, 100)])
+    gives_way, keeps = overlaps(lots, np.array(["a", "b", "c"], dtype=object), least_m2=1.0)
+    assert (gives_way.tolist(), keeps.tolist()) == ([0], [1])

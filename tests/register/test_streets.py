@@ -100,3 +100,14 @@ def test_a_paved_area_has_a_strip_around_it():
     strip = verge_strips(square, Rules(), NO_LOTS).shapes[0]
     assert strip.distance(box(0, 0, 20, 20)) >= 0.75
     assert strip.bounds[2] == pytest.approx(20 + 3.25, abs=0.02)
+
+
+def test_no_trees_are_set_along_footways():
+    from urbanforest_cli.core.config import Rules
+    from urbanforest_cli.register.streets import roads_with_trees
+
+    kinds = np.array(["residential", "footway", "", "service"], dtype=object)
+    lines = [LineString([(0, 10 * i), (50, 10 * i)]) for i in range(4)]
+    roads = Roads(shapes(*lines), np.full(4, 6.0), np.array(list("abcd"), dtype=object), kinds)
+    assert roads_with_trees(roads, Rules()).ids.tolist() == ["a", "c"]
+    assert len(roads_with_trees(roads, Rules(treeless_road_kinds=())).ids) == 4
