@@ -98,7 +98,8 @@ def run() -> None:
     """Run the command line and leave with the documented exit code."""
     ensure_cache_folders()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _stop)
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup stays nohup
+            signal.signal(number, _stop)
     sys.exit(guarded(sys.argv[1:]))
 
 

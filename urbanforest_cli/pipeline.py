@@ -15,13 +15,13 @@ from pathlib import Path
 
 from urbanforest_cli.context.stage import diffuse_key, diffuse_parameters
 from urbanforest_cli.core.config import Config
-from urbanforest_cli.core.errors import InputError, OutputExistsError, UrbanForestError
+from urbanforest_cli.core.errors import EXIT_BAD_INPUT, InputError, OutputExistsError, UrbanForestError
 from urbanforest_cli.core.params import strategy_names
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.publish import folder_lock, output_error, sha256_of, sync_file, sync_folder
 from urbanforest_cli.core.summary import StageSummary
 from urbanforest_cli.export.stage import OUTPUTS, export_key, export_outputs
-from urbanforest_cli.files.geopackage import refuse_foreign, refuse_sidecars
+from urbanforest_cli.files.geopackage import refuse_foreign, refuse_sidecars, row_count
 from urbanforest_cli.files.provenance import Record, read_records
 from urbanforest_cli.files.species import load_catalogue
 from urbanforest_cli.placement.stage import place_key, place_plants
@@ -131,7 +131,7 @@ def _check(request: Request) -> None:
         raise OutputExistsError("the output is not a folder", where=request.out, next_step="name another with -o")
     register = request.out / REGISTER
     if register.exists():
-        refuse_foreign(register)
+        refuse_foreign(register, older_too=False)
         refuse_sidecars(register)
     elif out.is_dir() and (taken := [name for name in (REGISTER, *OUTPUTS) if (out / name).exists()]):
         raise OutputExistsError(
@@ -157,6 +157,8 @@ def _stages_done(register: Path, keys: dict[str, str], until: str) -> list[str]:
     for stage in _register_stages(until):
         if stage not in records or records[stage].stage_key != keys[stage]:
             break
+        if stage == "place" and row_count(register, "plants") != records[stage].counts.get("plants"):
+            break  # changed by somebody else since
         done.append(stage)
     return done
 
@@ -177,8 +179,12 @@ def _run(request: Request, keys: dict[str, str], progress: Progress) -> list[Sta
     try:
         summaries = _run_stages(request, keys, register, progress)
         _publish_all(work, request.out, request.until)
+    except UrbanForestError as error:
+        if error.exit_code == EXIT_BAD_INPUT:  # the same command would fail again: nothing to go on from
+            shutil.rmtree(work, ignore_errors=True)
+        raise
     finally:
-        if not register.exists():  # nothing to go on from
+        if not register.exists():
             shutil.rmtree(work, ignore_errors=True)
     return summaries
 

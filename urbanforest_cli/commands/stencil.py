@@ -67,5 +67,8 @@ def command(
             known_strategies=strategy_names(),
             progress=progress,
         )
-    options.tell([summary], as_json)
+    if not as_json:
+        options.tell([summary], as_json)
     refuse_too_many_bad(summary, max_bad_fraction, city)
+    if as_json:
+        options.tell([summary], as_json)

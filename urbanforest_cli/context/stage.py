@@ -38,7 +38,8 @@ def diffuse_parameters(register: Path, *, config: Config, seed: int, progress: P
 
     Reads layers ``lots`` and ``parameters`` (the ``resolved_`` columns, so that it can be run again); writes
     ``parameters`` and one provenance record, and drops the records of later stages. Every lot with a geometry takes
-    part, also those that cannot be planted: they are part of the context. A lot without one keeps its values.
+    part, also those that cannot be planted: they are part of the context. A lot without one keeps its values, and so
+    does a sketch, which a person drew: its neighbours hear of it, but it does not give way to them.
 
     Raises
     ------
@@ -70,7 +71,9 @@ def diffuse_parameters(register: Path, *, config: Config, seed: int, progress: P
         progress=progress,
     )
     changed = np.zeros(len(parameters), dtype=bool)
-    for name, column in diffused.values.items():
+    drawn = parameters["source"].to_numpy(dtype=object) == "sketch"
+    for name, found in diffused.values.items():
+        column = np.where(drawn, resolved[name], found)
         parameters[name] = column
         changed |= column != resolved[name]
     parameters["context_lot_count"] = diffused.lot_count

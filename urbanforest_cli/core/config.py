@@ -76,13 +76,13 @@ class Placement(Section):
     radius_cut_sd: Annotated[float, Field(strict=True, gt=0, le=6)] = Field(
         2.0, description="truncation, in standard deviations"
     )
-    radius_min_m: Annotated[float, Field(strict=True, gt=0, le=10)] = Field(0.5, description="smallest radius drawn")
+    radius_min_m: Annotated[float, Field(strict=True, ge=0.1, le=10)] = Field(0.5, description="smallest radius drawn")
     conflict: Literal["lot", "city"] = Field("lot", description="whose plants keep apart: a lot's own, or all")
     density_law: Literal["hash", "exact"] = Field("hash", description="hash: each plant by itself; exact: by count")
     boundary_of: Literal["lot", "area"] = Field("lot", description="whose edge the boundary strategy follows")
     cluster_count: Literal["uniform", "max"] = Field("uniform", description="clusters: 1 to the maximum, or it")
     lattice_phase: Literal["centred", "random"] = Field("centred", description="where the lattice starts")
-    max_plants_per_lot: Annotated[int, Field(strict=True, ge=1)] = Field(
+    max_plants_per_lot: Annotated[int, Field(strict=True, ge=1, le=100_000_000)] = Field(
         250_000, description="a lot that would hold more is skipped"
     )
 
@@ -93,7 +93,7 @@ class Context(Section):
     passes: Annotated[int, Field(strict=True, ge=0, le=100)] = Field(
         1, description="how often values are diffused, 0 is off"
     )
-    sigma_fraction: Annotated[float, Field(strict=True, gt=0, le=10)] = Field(
+    sigma_fraction: Annotated[float, Field(strict=True, ge=0.001, le=10)] = Field(
         1 / 3, description="standard deviation of the Gaussian as a share of the context radius"
     )
     scope: Literal["all", "zone", "strategy"] = Field("all", description="which neighbours share their values")
@@ -157,8 +157,8 @@ class _ZoneBase(Section):
     @model_validator(mode="after")
     def _some_weight(self) -> _ZoneBase:
         if self.strategy is not None:
-            if any(weight < 0 for weight in self.strategy.values()):
-                raise ValueError("strategy weights must not be negative")
+            if not all(0 <= weight <= 1e9 for weight in self.strategy.values()):
+                raise ValueError("a strategy weight must be from 0 to 1e9")
             if not sum(self.strategy.values()) > 0:
                 raise ValueError("at least one strategy needs a weight above 0")
         return self
@@ -190,7 +190,9 @@ class Config(Section):
 
     def zone_rules(self, zone: str) -> Rules:
         """Return the rules in force in a zone."""
-        rules = self.zone_value(zone, "rules")
-        if rules is None:
-            return self.rules
-        return self.rules.model_copy(update=rules.model_dump(exclude_none=True))
+        rules = self.rules
+        for key in ("default", zone):
+            own = getattr(self.zones.get(key), "rules", None)
+            if own is not None:
+                rules = rules.model_copy(update=own.model_dump(exclude_none=True))
+        return rules

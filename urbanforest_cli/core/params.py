@@ -147,11 +147,11 @@ def plugin_prints() -> list[str]:
     prints = []
     for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name):
         version = point.dist.version if point.dist is not None else ""
-        try:
-            spec = find_spec(point.module)
-        except (ImportError, ValueError):
-            spec = None
+        spec = find_spec(point.module.partition(".")[0])  # the top alone: looking further would run its code
         source = Path(spec.origin) if spec is not None and spec.origin else None
-        content = sha256(source.read_bytes()).hexdigest() if source is not None and source.is_file() else ""
+        files: list[Path] = []
+        if source is not None and source.is_file():
+            files = sorted(source.parent.rglob("*.py")) if source.name == "__init__.py" else [source]
+        content = sha256(b"".join(sha256(file.read_bytes()).digest() for file in files)).hexdigest()
         prints.append(f"{point.name}={point.value} {version} {content}")
     return prints

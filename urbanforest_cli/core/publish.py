@@ -92,6 +92,17 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def _alive(pid: str) -> bool:
+    """Tell whether the process that a part is named after still runs; a name without one is nobody's."""
+    try:
+        os.kill(int(pid), 0)
+    except (ValueError, ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return int(pid) != os.getpid()
+
+
 @contextlib.contextmanager
 def folder_lock(folder: Path) -> Iterator[None]:
     """Hold a folder for one run; the lock is freed by the system even if the run is killed.
@@ -122,7 +133,8 @@ def folder_lock(folder: Path) -> Iterator[None]:
                 next_step="wait for it to end, or name another folder with -o",
             ) from error
         for leftover in folder.glob(f"{PART_PREFIX}*"):
-            shutil.rmtree(leftover, ignore_errors=True)
+            if not _alive(leftover.name.removeprefix(PART_PREFIX).partition("-")[0]):
+                shutil.rmtree(leftover, ignore_errors=True)
         yield
     finally:
         os.close(descriptor)

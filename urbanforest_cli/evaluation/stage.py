@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from urbanforest_cli.core.crs import reproject
-from urbanforest_cli.core.errors import InputError
+from urbanforest_cli.core.errors import InputError, OutputExistsError
 from urbanforest_cli.core.kernels import announce_compile
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.progress import Progress, silent
@@ -28,6 +28,7 @@ from urbanforest_cli.files.geopackage import read_layer
 from urbanforest_cli.files.provenance import require_record
 from urbanforest_cli.files.vectors import list_vector_layers, read_vector, split_source
 
+PNG_HEAD = b"\x89PNG\r\n\x1a\n"
 OBSERVED_LAYER, BUILDINGS_LAYER = "observed_plants", "buildings"
 ORIGINS = ("sketch", "register", "road")  # a plant in two lots belongs to the first of these
 
@@ -88,6 +89,8 @@ def evaluate_register(
     InputError
         A file cannot be read, or no observed plant lies in a lot.
     """
+    if plot is not None:
+        refuse_plot_over(plot)
     started = time.perf_counter()
     notices = Notices()
     working = require_record(register, "stencil").working_crs
@@ -200,6 +203,14 @@ def assign_to_lots(xy: NDArray[np.float64], lots: NDArray[np.object_]) -> NDArra
     point, lot = shapely.STRtree(lots).query(shapely.points(xy), predicate="intersects")
     np.minimum.at(found, point, lot)
     return np.where(found < len(lots), found, -1)
+
+
+def refuse_plot_over(plot: Path) -> None:
+    """Refuse to write a picture under another kind of name, or over what is no picture."""
+    if plot.suffix.lower() != ".png":
+        raise InputError("the plot is a PNG", where=plot, expected="a name that ends in .png")
+    if plot.exists() and (not plot.is_file() or not plot.read_bytes()[:8] == PNG_HEAD):
+        raise OutputExistsError("there is a file already, and no picture", where=plot, next_step="name another")
 
 
 def _buildings(source: str | None, observed: str, working: CRS, notices: Notices) -> NDArray[np.object_] | None:

@@ -34,7 +34,12 @@ def honour_source_date() -> None:
 def timestamp() -> str:
     """Return the present in UTC, or SOURCE_DATE_EPOCH where it is set."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    moment = datetime.fromtimestamp(int(epoch), UTC) if epoch else datetime.now(UTC)
+    try:
+        moment = datetime.fromtimestamp(int(epoch), UTC) if epoch else datetime.now(UTC)
+    except (ValueError, OverflowError, OSError) as error:
+        raise InputError(
+            "not a number of seconds since 1970", where="environment variable SOURCE_DATE_EPOCH", found=epoch
+        ) from error
     return moment.replace(microsecond=0).isoformat()
 
 
@@ -193,8 +198,23 @@ def layer_names(path: Path) -> list[str]:
     return [str(name) for name in pyogrio.list_layers(path)[:, 0]]
 
 
-def refuse_foreign(path: Path) -> None:
+def row_count(path: Path, name: str) -> int:
+    """Count the rows of a layer of a register, by counting them; 0 where there is none."""
+    with closing(sqlite3.connect(f"file:{_quoted(path)}?mode=ro", uri=True)) as register:
+        try:
+            quoted = '"' + name.replace('"', '""') + '"'
+            return int(register.execute(f"SELECT count(*) FROM {quoted}").fetchone()[0])
+        except sqlite3.Error:
+            return 0
+
+
+def refuse_foreign(path: Path, *, older_too: bool = True) -> None:
     """Refuse a file that is not a register of a version this program knows.
+
+    Parameters
+    ----------
+    older_too
+        Refuse registers of older versions as well; whoever writes all of it again need not.
 
     Raises
     ------
@@ -222,7 +242,7 @@ def refuse_foreign(path: Path) -> None:
                 expected="a table 'provenance'",
                 next_step="make a register with `urbanforest stencil CITY.gpkg -o REGISTER.gpkg`",
             ) from error
-    if any(version != REGISTER_VERSION for version in versions):
+    if any(version > REGISTER_VERSION or (older_too and version < REGISTER_VERSION) for version in versions):
         raise SchemaError(
             "the register was written by another version",
             where=path,

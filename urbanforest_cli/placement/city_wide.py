@@ -36,6 +36,7 @@ def place_in_waves(
     reach = _largest_radii(sites, settings)
     starts, neighbours = _neighbours(sites.areas, reach)
     wave = _waves(sites.keys, starts, neighbours)
+    refused: list[int] = []
     placed: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
     last = int(wave.max(initial=-1))
     for number in range(last + 1):
@@ -47,18 +48,21 @@ def place_in_waves(
                 for i in batch
             ]
             found = _apart_from_fixed(strategy_named(name), _with_fixed(sites, batch, fixed), settings)
+            refused.extend(batch[found.refused].tolist())
             ends = np.searchsorted(found.site, np.arange(len(batch) + 1))
             for k, i in enumerate(batch):
                 span = slice(ends[k], ends[k + 1])
                 placed[int(i)] = (found.xy[span], found.radius_m[span])
         progress("placing plants", number + 1, last + 1)
     order = sorted(i for i, (xy, _) in placed.items() if len(xy))
+    left_out = np.array(sorted(refused), dtype=np.int64)
     if not order:
-        return Positions.empty()
+        return replace(Positions.empty(), refused=left_out)
     return Positions(
         np.repeat(np.array(order), [len(placed[i][0]) for i in order]),
         np.concatenate([placed[i][0] for i in order]),
         np.concatenate([placed[i][1] for i in order]),
+        left_out,
     )
 
 
@@ -119,4 +123,4 @@ def _apart_from_fixed(strategy: object, sites: Sites, settings: Placement) -> Po
         span = slice(sites.fixed_offsets[i], sites.fixed_offsets[i + 1])
         apart = np.hypot(*(sites.fixed_xy[span] - xy).T)
         keep[row] = bool(np.all(apart >= sites.fixed_radius_m[span] + radius))
-    return Positions(found.site[keep], found.xy[keep], found.radius_m[keep])
+    return Positions(found.site[keep], found.xy[keep], found.radius_m[keep], found.refused)

@@ -361,6 +361,8 @@ def _previous_plants(register: Path, city: _City) -> _Kept | None:
         return None
     now = pd.Series(city.lot_keys, index=city.lot_ids)
     same = placements["lot_id"].map(now).to_numpy() == placements["place_key"].to_numpy()
+    stored = placements["lot_id"].map(plants["lot_id"].value_counts()).fillna(0)
+    same &= stored.to_numpy() == placements["plant_count"].to_numpy()  # none lost or added by hand since
     placements = placements[same]
     if placements.empty:
         return None

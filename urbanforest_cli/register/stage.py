@@ -225,6 +225,7 @@ def _read(
         warnings.simplefilter("ignore")  # whoever reads the layer counts what is said of it
         kinds_of = {name: kind for name, kind in list_vector_layers(city) if kind is not None}
     names = list(kinds_of)
+    plain = {name.casefold(): name for name in reversed(names)}
     if {"lots", "active_areas"} <= set(names):
         raise InputError(
             "this is a register, an output of this program",
@@ -232,9 +233,9 @@ def _read(
             expected="a city: lots and what stands on them",
             next_step="name the city it was made from",
         )
-    others = [name for name, kind in kinds_of.items() if name not in KINDS and "polygon" in kind.lower()]
-    if lots_layer is None and (LOTS in names or len(others) == 1):
-        lots_layer = LOTS if LOTS in names else others[0]
+    others = [name for name, kind in kinds_of.items() if name.casefold() not in KINDS and "polygon" in kind.lower()]
+    if lots_layer is None and (LOTS in plain or len(others) == 1):
+        lots_layer = plain[LOTS] if LOTS in plain else others[0]
     if lots_layer is None and names and not set(names) - set(KINDS):
         raise InputError(
             "no layer 'lots'", where=city, found=", ".join(names), next_step="name the layer of lots with --layer"
@@ -243,9 +244,9 @@ def _read(
     frame = gpd.GeoDataFrame(plain_columns(frame, LOT_COLUMNS, f"{city} layer 'lots'"), crs=frame.crs)
     layers = {}
     for name, kinds in KINDS.items():
-        if name in names and name != lots_layer and len(names) > 1:
+        if name in plain and plain[name] != lots_layer and len(names) > 1:
             found = read_vector(
-                city, layer=name, kinds=kinds, assume_crs=assume_crs or frame.crs, notices=notices,
+                city, layer=plain[name], kinds=kinds, assume_crs=assume_crs or frame.crs, notices=notices,
                 where_hint=f"{city} layer {name!r}",
             )  # fmt: skip
             if len(found):
