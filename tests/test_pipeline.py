@@ -1,5 +1,7 @@
+import contextlib
 import json
 import shutil
+import sqlite3
 import subprocess
 import sys
 
@@ -301,3 +303,23 @@ def test_lots_are_named_by_file_and_layer_as_by_option(tiny_city, tmp_path, runn
     assert runner("populate", city, "-o", tmp_path / "a", "--until", "stencil").exit_code == 2
     assert runner("populate", f"{city}:parcels", "-o", tmp_path / "a", "--until", "stencil").exit_code == 0
     assert runner("populate", city, "--layer", "parcels", "-o", tmp_path / "b", "--until", "stencil").exit_code == 0
+
+
+def test_plants_that_were_taken_out_by_hand_come_back(sample_city, tmp_path):
+    out = tmp_path / "out"
+    populate(request(sample_city, out, until="place"))
+    before = plants_of(out)
+    write_layers(out / "register.gpkg", {"plants": read_layer(out / "register.gpkg", "plants").iloc[::2]})
+    assert not populate(request(sample_city, out, until="place"))[-1].up_to_date
+    pd.testing.assert_frame_equal(plants_of(out), before)
+
+
+def test_the_register_of_an_older_version_is_replaced(sample_city, tmp_path):
+    out = tmp_path / "out"
+    populate(request(sample_city, out, until="place"))
+    before = plants_of(out)
+    with contextlib.closing(sqlite3.connect(out / "register.gpkg")) as register:
+        register.execute("UPDATE provenance SET register_version = register_version - 1")
+        register.commit()
+    populate(request(sample_city, out, until="place"))
+    pd.testing.assert_frame_equal(plants_of(out), before)

@@ -89,3 +89,10 @@ def test_a_folder_made_for_a_run_that_wrote_nothing_goes_again(tmp_path):
 def test_sha256_is_that_of_the_bytes(tmp_path):
     (tmp_path / "a").write_bytes(b"abc")
     assert sha256_of(tmp_path / "a").startswith("ba7816bf8f01cfea")
+
+
+def test_the_part_of_a_run_that_still_works_is_left_alone(tmp_path):
+    live = tmp_path / f".urbanforest-part-{os.getppid()}-a.gpkg"
+    live.mkdir()
+    with folder_lock(tmp_path):
+        assert live.exists()

@@ -84,3 +84,14 @@ def test_command_prints_tables_and_json(planted, runner):
     assert len(record["evaluation"]["l_function"]["difference"]) == len(
         record["evaluation"]["measured_at"]["l_radii_m"]
     )
+
+
+@pytest.mark.parametrize("name", ["city.gpkg", "notes.png"])
+def test_a_plot_is_not_written_over_another_file(tmp_path, name):
+    from urbanforest_cli.core.errors import UrbanForestError
+    from urbanforest_cli.evaluation.stage import refuse_plot_over
+
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(UrbanForestError):
+        refuse_plot_over(tmp_path / name)
+    refuse_plot_over(tmp_path / "new.png")
