@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from urbanforest_cli.core.habits import TREE, usual_sizes
 from urbanforest_cli.core.species import Catalogue, Species
 
 
@@ -11,7 +12,8 @@ def make(species_id: str, habit: str = "tree", coldest: int = 3, warmest: int = 
     return Species(
         id=species_id, scientific_name="", common_name="", habit=habit, mature_height_m=10.0,
         mature_crown_diameter_m=6.0, envelope_radius_m=3.0, lifespan_years=90.0, hardiness_zone_min=coldest,
-        hardiness_zone_max=warmest, colour="#112233", source="",
+        hardiness_zone_max=warmest, colour="#112233", source="", growth=TREE,
+        open_grown=usual_sizes("tree", mature_height_m=10.0, mature_crown_diameter_m=6.0, clear_stem_m=2.0),
     )  # fmt: skip
 
 

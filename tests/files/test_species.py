@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import csv
 import os
+import tomllib
 from itertools import combinations
 from pathlib import Path
 from statistics import median
 
+import numpy as np
 import pytest
 
 from urbanforest_cli.core.config import Species
 from urbanforest_cli.core.errors import ConfigError
+from urbanforest_cli.core.habits import SHRUB, TREE
+from urbanforest_cli.core.traits import TRAIT_NAMES
 from urbanforest_cli.files.species import load_catalogue, species_folder
 
 
@@ -27,6 +31,10 @@ def write_species(folder: Path, name: str, **changes: object) -> Path:
     path = folder / f"{name}.toml"
     path.write_text("\n".join(lines), encoding="utf-8")
     return path
+
+
+def add_growth(path: Path, *lines: str) -> None:
+    path.write_text("\n".join([path.read_text(encoding="utf-8"), "[growth]", *lines]), encoding="utf-8")
 
 
 def lab(colour: str) -> tuple[float, float, float]:
@@ -153,3 +161,68 @@ def test_a_folder_that_is_not_there_or_empty_is_an_error(tmp_path: Path) -> None
 
 def test_every_shipped_file_is_named_after_its_id() -> None:
     assert {path.stem for path in species_folder().glob("*.toml")} == set(load_catalogue(Species()).ids)
+
+
+def test_shipped_species_state_every_trait_and_their_sizes_to_old_age() -> None:
+    for path in species_folder().glob("*.toml"):
+        growth = tomllib.loads(path.read_text(encoding="utf-8"))["growth"]
+        assert set(growth) == {*TRAIT_NAMES, "open_grown"}, path.name
+        assert growth["open_grown"]["age_years"][-1] >= 100, path.name
+
+
+def test_shipped_shrubs_have_several_stems_and_trees_one() -> None:
+    for item in load_catalogue(Species()):
+        assert (item.growth.stem_count > 1) == (item.habit == "shrub"), item.id
+
+
+def test_a_species_without_growth_grows_as_a_usual_plant_of_its_habit_and_size(tmp_path: Path) -> None:
+    write_species(tmp_path / "mine", "acer_campestre", mature_height_m=9.0)
+    write_species(tmp_path / "mine", "rosa_canina", habit="shrub", mature_height_m=3.5)
+    catalogue = load_catalogue(Species(folder=str(tmp_path / "mine")))
+    tree, shrub = catalogue["acer_campestre"], catalogue["rosa_canina"]
+    assert tree.growth.internode_length_m == pytest.approx(TREE.internode_length_m / 2)
+    assert shrub.growth == SHRUB
+    assert tree.open_grown.height_at(np.array([0.0, 40.0])) == pytest.approx([0.18, 8.0], abs=0.1)
+
+
+def test_a_file_may_name_some_traits_and_leave_the_rest_to_its_habit(tmp_path: Path) -> None:
+    path = write_species(tmp_path / "mine", "acer_campestre")
+    add_growth(path, "branch_angle_deg = 60", "clear_stem_m = 0.5")
+    tree = load_catalogue(Species(folder=str(path.parent)))["acer_campestre"]
+    assert (tree.growth.branch_angle_deg, tree.growth.pipe_exponent) == (60.0, TREE.pipe_exponent)
+    assert max(tree.open_grown.crown_base_m) == 0.5
+
+
+def test_every_mistake_of_growth_is_told_with_its_key(tmp_path: Path) -> None:
+    path = write_species(tmp_path / "mine", "acer_campestre", colour="green")
+    add_growth(
+        path, "pipe_exponent = 4", 'vigour = "high"', "branch_angel_deg = 40", "[growth.open_grown]",
+        "age_years = [0, 10]", "height_m = [1, -2]", "crown_radius_m = [1, 2]", "crown_bas_m = [0, 0]",
+    )  # fmt: skip
+    with pytest.raises(ConfigError) as caught:
+        load_catalogue(Species(folder=str(path.parent)))
+    text = str(caught.value)
+    for words in (
+        "colour: ", "growth.pipe_exponent: input should be less than or equal to 3; found 4", "growth.vigour: ",
+        "growth.branch_angel_deg: unknown key; did you mean 'branch_angle_deg'?", "growth.open_grown.height_m.1: ",
+        "growth.open_grown.crown_base_m: key is missing",
+        "growth.open_grown.crown_bas_m: unknown key; did you mean 'crown_base_m'?",
+    ):  # fmt: skip
+        assert words in text, (words, text)
+
+
+@pytest.mark.parametrize(
+    ("ages", "bases", "words"),
+    [
+        ("[1, 10]", "[0, 0]", "age_years must ascend from 0"),
+        ("[0, 10, 10]", "[0, 0]", "age_years must ascend from 0"),
+        ("[0, 10, 20]", "[0, 0]", "each key needs as many sizes as there are ages"),
+        ("[0, 10]", "[0, 9]", "crown_base_m is above height_m"),
+    ],
+)
+def test_sizes_by_age_that_contradict_each_other_are_refused(tmp_path: Path, ages: str, bases: str, words: str) -> None:
+    path = write_species(tmp_path / "mine", "acer_campestre")
+    sizes = (f"age_years = {ages}", "height_m = [1, 8]", "crown_radius_m = [1, 2]", f"crown_base_m = {bases}")
+    add_growth(path, "[growth.open_grown]", *sizes)
+    with pytest.raises(ConfigError, match=words):
+        load_catalogue(Species(folder=str(path.parent)))

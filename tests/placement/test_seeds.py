@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, spearmanr
 
+from urbanforest_cli.core.habits import TREE, usual_sizes
 from urbanforest_cli.core.randomness import keys_for
 from urbanforest_cli.core.species import Catalogue, Species
 from urbanforest_cli.placement.seeds import Seeds, draw_seeds
@@ -16,6 +17,8 @@ def make_species(species_id: str, habit: str, lifespan_years: float = 500.0) -> 
         id=species_id, scientific_name=species_id, common_name=species_id, habit=habit,
         mature_height_m=10.0, mature_crown_diameter_m=6.0, envelope_radius_m=3.0, lifespan_years=lifespan_years,
         hardiness_zone_min=1, hardiness_zone_max=13, colour="#00ff00", source="made for a test",
+        growth=TREE,
+        open_grown=usual_sizes("tree", mature_height_m=10.0, mature_crown_diameter_m=6.0, clear_stem_m=2.0),
     )  # fmt: skip
 
 

@@ -6,12 +6,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
+from urbanforest_cli.core.traits import OpenGrown, Traits
+
 Habit = Literal["tree", "shrub"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Species:
-    """One species; sizes are those of a mature plant in a town."""
+    """One species; mature sizes are those of a plant in a town, `open_grown` those its own growth leads to."""
 
     id: str
     scientific_name: str
@@ -25,6 +27,8 @@ class Species:
     hardiness_zone_max: int
     colour: str
     source: str
+    growth: Traits
+    open_grown: OpenGrown
 
     def lives_in(self, hardiness_zone: int) -> bool:
         """Tell whether the species lives in a USDA hardiness zone."""

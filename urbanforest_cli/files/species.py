@@ -5,26 +5,68 @@ from __future__ import annotations
 import difflib
 import json
 import tomllib
+from dataclasses import fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
 from urbanforest_cli.core import config as settings
 from urbanforest_cli.core.errors import ConfigError
+from urbanforest_cli.core.habits import usual_growth, usual_sizes
 from urbanforest_cli.core.species import Catalogue, Species
+from urbanforest_cli.core.traits import OpenGrown, Traits
 from urbanforest_cli.files.configs import configs_folder
 
 SPECIES_BYTES_LIMIT = 100_000
 
 _Name = Annotated[str, Field(min_length=1, max_length=200)]
 _HardinessZone = Annotated[int, Field(ge=1, le=13)]
+_STRICT = ConfigDict(extra="forbid", frozen=True, str_strip_whitespace=True, allow_inf_nan=False)
+_Sizes = Annotated[tuple[Annotated[float, Field(strict=True, ge=0, le=130)], ...], Field(min_length=1, max_length=101)]
+
+
+class OpenGrownTable(BaseModel):
+    """The keys of the table growth.open_grown."""
+
+    model_config = _STRICT
+
+    age_years: _Sizes
+    height_m: _Sizes
+    crown_radius_m: _Sizes
+    crown_base_m: _Sizes
+
+    @model_validator(mode="after")
+    def _columns_agree(self) -> OpenGrownTable:
+        ages = self.age_years
+        if ages[0] != 0 or any(later <= age for age, later in pairwise(ages)):
+            raise ValueError("age_years must ascend from 0")
+        lengths = {name: len(getattr(self, name)) for name in OpenGrownTable.model_fields}
+        if len(set(lengths.values())) > 1:
+            raise ValueError(f"each key needs as many sizes as there are ages; found {lengths}")
+        if any(base > top for base, top in zip(self.crown_base_m, self.height_m, strict=True)):
+            raise ValueError("crown_base_m is above height_m")
+        return self
+
+
+def _trait_keys() -> dict[str, Any]:
+    """One optional number a trait, within the bounds that the trait declares."""
+    keys = {}
+    for item in fields(Traits):
+        bounds = Field(strict=True, ge=item.metadata["low"], le=item.metadata["high"])
+        keys[item.name] = (Annotated[float, bounds] | None, None)
+    return keys
+
+
+GrowthTable = create_model("GrowthTable", __config__=_STRICT, **_trait_keys(), open_grown=(OpenGrownTable | None, None))
+GrowthTable.__doc__ = "The keys of the table growth: the traits, each optional, and the sizes they lead to."
 
 
 class SpeciesFile(BaseModel):
     """The keys of a species file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, str_strip_whitespace=True, allow_inf_nan=False)
+    model_config = _STRICT
 
     id: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
     scientific_name: _Name
@@ -38,12 +80,16 @@ class SpeciesFile(BaseModel):
     hardiness_zone_max: _HardinessZone
     colour: Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")]
     source: Annotated[str, Field(min_length=1, max_length=2000)]
+    growth: GrowthTable | None = None
 
     @model_validator(mode="after")
     def _zones_in_order(self) -> SpeciesFile:
         if self.hardiness_zone_min > self.hardiness_zone_max:
             raise ValueError("hardiness_zone_min is above hardiness_zone_max")
         return self
+
+
+_TABLES: dict[str, type[BaseModel]] = {"": SpeciesFile, "growth": GrowthTable, "growth.open_grown": OpenGrownTable}
 
 
 def species_folder() -> Path:
@@ -123,15 +169,33 @@ def _read_file(path: Path, mistakes: list[str]) -> Species | None:
     if checked.id != path.stem:
         mistakes.append(f"{path}: id: must be the file's name {path.stem!r}; found {checked.id!r}")
         return None
-    return Species(**checked.model_dump())
+    return _species(checked)
+
+
+def _species(checked: SpeciesFile) -> Species:
+    """Build a species; what its file leaves unsaid of its growth is that of a usual tree or shrub of its size."""
+    said = {} if checked.growth is None else checked.growth.model_dump(exclude_none=True)
+    sizes = said.pop("open_grown", None)
+    traits = replace(usual_growth(checked.habit, checked.mature_height_m), **said)
+    if sizes is None:
+        open_grown = usual_sizes(
+            checked.habit,
+            mature_height_m=checked.mature_height_m,
+            mature_crown_diameter_m=checked.mature_crown_diameter_m,
+            clear_stem_m=traits.clear_stem_m,
+        )
+    else:
+        open_grown = OpenGrown(**sizes)
+    return Species(**checked.model_dump(exclude={"growth"}), growth=traits, open_grown=open_grown)
 
 
 def _mistake(path: Path, item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"])
     where = f"{path}: {key}" if key else str(path)
     if item["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(str(item["loc"][-1]), SpeciesFile.model_fields, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(SpeciesFile.model_fields)}"
+        table = _TABLES[key.rpartition(".")[0]]
+        near = difflib.get_close_matches(str(item["loc"][-1]), table.model_fields, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(table.model_fields)}"
         return f"{where}: unknown key; {hint}"
     if item["type"] == "missing":
         return f"{where}: key is missing"
