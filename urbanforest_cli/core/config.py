@@ -111,7 +111,61 @@ class Species(Section):
 
 
 class Growth(Section):
-    """Reserved for growing the plants."""
+    """How plants grow (paper, section Developmental Plant Model)."""
+
+    environment: Literal["both", "shadow", "markers"] = Field(
+        "both", description="what plants sense: light (shadow), room (markers), or both"
+    )
+    fate: Literal["borchert_honda", "priority"] = Field(
+        "borchert_honda", description="how resource is shared among buds (Palubicki 2009)"
+    )
+    detail: Literal["auto", "unique", "library"] = Field(
+        "auto", description="unique: every plant grown in its place; library: the nearest of a few thousand grown"
+    )
+    unique_plants_max: Annotated[int, Field(strict=True, ge=0, le=100_000_000)] = Field(
+        5000, description="auto grows every plant in its place up to this many, beyond it only those in focus"
+    )
+    library_size_max: Annotated[int, Field(strict=True, ge=1, le=1_000_000)] = Field(
+        2000, description="most skeletons in the library of a city"
+    )
+    library_sample: Annotated[int, Field(strict=True, ge=0, le=10_000)] = Field(
+        40, description="plants grown uniquely beside the library to measure its shape error"
+    )
+    neighbours: bool = Field(True, description="plants of other lots shade and take room at the border")
+    voxel_m: Annotated[float, Field(strict=True, ge=0.1, le=2)] = Field(0.4, description="edge of a shadow voxel")
+    shade_depth_voxels: Annotated[int, Field(strict=True, ge=1, le=16)] = Field(
+        5, description="depth of the shadow pyramid"
+    )
+    marker_spacing_m: Annotated[float, Field(strict=True, ge=0.2, le=2)] = Field(0.5, description="one marker a cell")
+    marker_range_internodes: Annotated[float, Field(strict=True, ge=2, le=10)] = Field(
+        4.0, description="how far a bud perceives markers"
+    )
+    marker_radius_internodes: Annotated[float, Field(strict=True, ge=0.5, le=6)] = Field(
+        2.0, description="markers within this distance of an internode are taken"
+    )
+    perception_angle_deg: Annotated[float, Field(strict=True, ge=20, le=360)] = Field(
+        90.0, description="full angle of a bud's cone of perception"
+    )
+    building_height_m: Metres = Field(8.0, description="height of a building that states none")
+    sun_share: Annotated[float, Field(strict=True, ge=0, le=1)] = Field(
+        0.5, description="share of light that comes straight from the sun, the rest from the sky"
+    )
+    regrow_years: Annotated[int, Field(strict=True, ge=0, le=50)] = Field(
+        5, description="years of growth after a plant with pruning_factor below 1 is cut"
+    )
+    pruning_shape: Literal["box", "ellipsoid"] = Field(
+        "box", description="volume a pruned crown is cut to; boxes along a street join into a hedge"
+    )
+    crown_clearance_m: dict[str, Metres] = Field(
+        default_factory=lambda: {"street": 2.5},
+        description="height below which branches are lifted, by zone (people and traffic pass below)",
+    )
+    grove_plants_max: Annotated[int, Field(strict=True, ge=1, le=2000)] = Field(
+        48, description="plants grown together; a lot with more is cut into groves"
+    )
+    grove_length_max_m: Annotated[float, Field(strict=True, ge=10, le=500)] = Field(
+        60.0, description="longest side of a grove; a longer lot is cut"
+    )
 
 
 class Export(Section):

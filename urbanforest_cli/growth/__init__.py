@@ -1,0 +1,1 @@
+"""Growth: every plant as a skeleton, grown in its own place."""
