@@ -7,7 +7,7 @@ import urbanforest_cli
 
 PACKAGE = Path(urbanforest_cli.__file__).parent
 FOUNDATIONS = {"core", "files"}
-TOP = {"main", "commands", "pipeline", "pipeline_figures", "__main__"}
+TOP = {"main", "commands", "pipeline", "pipeline_alone", "pipeline_figures", "pipeline_growth_figures", "__main__"}
 
 
 def imports(path: Path) -> set[str]:

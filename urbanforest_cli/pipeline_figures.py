@@ -57,14 +57,15 @@ class Planting:
         The part of the ground that the strategy plants, or None where it plants along lines or on a lattice.
     crowns
         What stands there.
-    age_years
-        Of each plant.
+    species, age_years
+        Of each plant; species as an index into the catalogue.
     """
 
     lots: Shapes
     ground: Shapes
     active: shapely.Geometry | None
     crowns: Crowns
+    species: NDArray[np.int64]
     age_years: NDArray[np.float64]
 
 
@@ -110,7 +111,7 @@ def plant_lots(
     colours = np.array([to_rgb(kind.colour) for kind in catalogue])
     trees = np.array([kind.habit == "tree" for kind in catalogue])
     crowns = Crowns(xy, radius, colours[seeds.species], trees[seeds.species])
-    return Planting(lots, ground, _active(sites, strategy, config), crowns, seeds.age_years)
+    return Planting(lots, ground, _active(sites, strategy, config), crowns, seeds.species, seeds.age_years)
 
 
 def _active(sites: Sites, strategy: str, config: Config) -> shapely.Geometry | None:
@@ -346,7 +347,9 @@ def _street_picture(config: Config, catalogue: Catalogue) -> LotPicture:
     return _picture(planting, "street, equidistant", note, shapes(), zone="street", roads=roads, road_width_m=widths)
 
 
-PAGES: dict[str, Callable[[Catalogue], Figure]] = {
+Page = Callable[[Catalogue], Figure]
+
+PAGES: dict[str, Page] = {
     "boundary": boundary_page,
     "cluster": cluster_page,
     "regular": regular_page,
@@ -359,8 +362,10 @@ PAGES: dict[str, Callable[[Catalogue], Figure]] = {
 }
 
 
-def render_figures(out: Path, *, names: Sequence[str] = (), progress: Progress = silent) -> StageSummary:
-    """Write the pages named, or all, as PNG files into a folder.
+def render_figures(
+    out: Path, *, names: Sequence[str] = (), pages: Mapping[str, Page] = PAGES, progress: Progress = silent
+) -> StageSummary:
+    """Write the pages named, or all of `pages`, as PNG files into a folder.
 
     Raises
     ------
@@ -370,14 +375,14 @@ def render_figures(out: Path, *, names: Sequence[str] = (), progress: Progress =
         A page could not be written.
     """
     started = time.perf_counter()
-    unknown = [name for name in names if name not in PAGES]
+    unknown = [name for name in names if name not in pages]
     if unknown:
-        raise ConfigError(f"no figure {unknown[0]!r}", expected=", ".join(PAGES))
+        raise ConfigError(f"no figure {unknown[0]!r}", expected=", ".join(pages))
     catalogue = load_catalogue(load_config(environment={}).config.species)
-    wanted = list(names) or list(PAGES)
+    wanted = list(names) or list(pages)
     for number, name in enumerate(wanted):
         progress("figures", number, len(wanted))
-        figure = PAGES[name](catalogue)
+        figure = pages[name](catalogue)
         with publish(out / f"{name}.png") as part:
             figure.savefig(part, dpi=figure.dpi, metadata={"Software": f"urbanforest {__version__}"})
     progress("figures", len(wanted), len(wanted))
