@@ -6,7 +6,7 @@ EXTRAS ?= test
 DEMO := demo-forest
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-all lint format bench figures sample clean
+.PHONY: help install demo test test-all lint format bench check-growth figures sample clean
 
 help: ## list these targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
@@ -47,6 +47,9 @@ format: install ## put the code into format
 bench: install ## measure speed as ratios in one run
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test,bench]'
 	$(BIN)/python -m benchmarks
+
+check-growth: install ## hold open-grown plants of every species against measured ones
+	$(BIN)/python -m benchmarks.growth_check
 
 figures: install ## render the paper's placement figures
 	$(BIN)/urbanforest figures -o figures

@@ -4,6 +4,8 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,13 +13,30 @@ import pyogrio
 import pytest
 import shapely
 
+from tests.growth import fake
 from urbanforest_cli.core.errors import BusyError, InputError, OutputExistsError, PartlyDoneError
 from urbanforest_cli.core.publish import folder_lock, sha256_of
 from urbanforest_cli.files.configs import load_config
 from urbanforest_cli.files.geopackage import read_layer, write_layers
+from urbanforest_cli.files.skeleton_parts import parts_are_there
 from urbanforest_cli.pipeline import WORK_FOLDER, Request, plan, populate
 
+ROOT = Path(__file__).parents[1]
+
 OUTPUTS = ["map.png", "plants.geojson", "register.gpkg", "report.html", "report.json"]
+PUBLISHED = sorted([*OUTPUTS, "skeletons"])
+
+
+@pytest.fixture
+def _real_growth():
+    """Let plants grow as they do."""
+
+
+@pytest.fixture(autouse=True)
+def _quick_growth(request, monkeypatch):
+    """Let plants be poles, but where a test asks for more."""
+    if "_real_growth" not in request.fixturenames:
+        monkeypatch.setattr("urbanforest_cli.growth.simulate.grow_grove", fake.grow_grove)
 
 
 @pytest.fixture(scope="session")
@@ -35,6 +54,15 @@ def request(city, out, seed=1, **changes):
     return Request(city=city, out=out, config=config, seed=seed, **changes)
 
 
+def hashes_of(out):
+    """Return the hash of every file that was published, skeletons too."""
+    return {
+        str(path.relative_to(out)): sha256_of(path)
+        for path in out.rglob("*")
+        if path.is_file() and WORK_FOLDER not in path.parts
+    }
+
+
 def plants_of(out):
     plants = read_layer(out / "register.gpkg", "plants")
     return plants.sort_values("plant_id").reset_index(drop=True)
@@ -49,8 +77,8 @@ def same(one, other, tolerance_m=0.0):
 
 def test_a_city_in_a_planted_city_out(sample_city, tmp_path):
     summaries = populate(request(sample_city, tmp_path / "out"))
-    assert [summary.stage for summary in summaries] == ["stencil", "diffuse", "place", "export"]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == OUTPUTS
+    assert [summary.stage for summary in summaries] == ["stencil", "diffuse", "place", "grow", "export"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == PUBLISHED
     register = tmp_path / "out" / "register.gpkg"
     lots = read_layer(register, "lots")
     plants = read_layer(register, "plants")
@@ -60,6 +88,7 @@ def test_a_city_in_a_planted_city_out(sample_city, tmp_path):
     assert planted | set(skipped["lot_id"]) == set(lots["lot_id"])
     assert not planted & set(skipped["lot_id"])
     assert len(skipped) == len(set(skipped["lot_id"]))
+    assert read_layer(register, "trees")["plant_id"].tolist() == plants["plant_id"].tolist()
 
 
 def test_plants_stand_in_their_ground_and_apart(sample_city, tmp_path):
@@ -82,14 +111,18 @@ def test_plants_stand_in_their_ground_and_apart(sample_city, tmp_path):
 def test_a_second_run_does_nothing_and_a_changed_config_does_what_it_must(sample_city, tmp_path):
     out = tmp_path / "out"
     populate(request(sample_city, out))
-    hashes = {name: sha256_of(out / name) for name in OUTPUTS}
+    hashes = hashes_of(out)
     again = populate(request(sample_city, out))
     assert all(summary.up_to_date for summary in again)
-    assert {name: sha256_of(out / name) for name in OUTPUTS} == hashes
-    assert [step["would"] for step in plan(request(sample_city, out))] == ["keep"] * 4
+    assert hashes_of(out) == hashes
+    assert [step["would"] for step in plan(request(sample_city, out))] == ["keep"] * 5
     changed = request(sample_city, out, settings=["context.passes=0"])
-    assert [step["would"] for step in plan(changed)] == ["keep", "run", "run", "run"]
-    assert [summary.up_to_date for summary in populate(changed)] == [True, False, False, False]
+    assert [step["would"] for step in plan(changed)] == ["keep", "run", "run", "run", "run"]
+    assert [summary.up_to_date for summary in populate(changed)] == [True, False, False, False, False]
+    grown = request(sample_city, out, settings=["context.passes=0", "growth.environment=shadow"])
+    assert [summary.up_to_date for summary in populate(grown)] == [True, True, True, False, False]
+    named = set(read_layer(out / "register.gpkg", "skeleton_parts")["part"])
+    assert {path.name for path in (out / "skeletons").iterdir()} == named
 
 
 def test_an_output_that_was_changed_or_removed_is_written_again(sample_city, tmp_path):
@@ -99,6 +132,63 @@ def test_an_output_that_was_changed_or_removed_is_written_again(sample_city, tmp
     (out / "plants.geojson").write_text("{}")
     populate(request(sample_city, out))
     assert sha256_of(out / "plants.geojson") == before
+
+
+@pytest.mark.parametrize("harm", ["changed", "removed"])
+def test_a_part_of_the_skeletons_that_was_harmed_is_grown_again(sample_city, tmp_path, harm):
+    out = tmp_path / "out"
+    populate(request(sample_city, out, until="grow"))
+    before = {name: sha for name, sha in hashes_of(out).items() if name != "register.gpkg"}
+    part = next((out / "skeletons").iterdir())
+    part.write_bytes(b"torn") if harm == "changed" else part.unlink()
+    assert [step["would"] for step in plan(request(sample_city, out, until="grow"))] == ["keep"] * 3 + ["run"]
+    summary = populate(request(sample_city, out, until="grow"))[-1]
+    assert "W_SKELETONS_CHANGED" in summary.notices
+    assert {name: sha for name, sha in hashes_of(out).items() if name != "register.gpkg"} == before
+
+
+def test_one_changed_lot_grows_again_with_its_neighbours_and_the_result_is_that_of_a_full_run(sample_city, tmp_path):
+    city = tmp_path / "city.gpkg"
+    shutil.copy(sample_city, city)
+    settings = ["context.passes=0"]
+    populate(request(city, tmp_path / "out", until="grow", settings=settings))
+    lots = pyogrio.read_dataframe(city, layer="lots")
+    lots.loc[5, "geometry"] = shapely.buffer(lots.geometry[5], -1.0)
+    pyogrio.write_dataframe(lots, city, layer="lots", driver="GPKG")
+    summary = populate(request(city, tmp_path / "out", until="grow", settings=settings))[-1]
+    assert 0.6 * summary.counts["groves"] < summary.counts["groves_reused"] < summary.counts["groves"]
+    populate(request(city, tmp_path / "full", until="grow", settings=settings))
+    for layer in ("trees", "groves", "skeleton_parts"):
+        one, two = (read_layer(tmp_path / name / "register.gpkg", layer) for name in ("out", "full"))
+        pd.testing.assert_frame_equal(one, two)
+    parts = [{n: sha for n, sha in hashes_of(tmp_path / name).items() if "part" in n} for name in ("out", "full")]
+    assert parts[0] == parts[1]
+
+
+def test_the_year_shown_is_that_of_the_last_command_and_nothing_grows_for_it(sample_city, tmp_path, monkeypatch):
+    from urbanforest_cli.growth.stage import show_year
+
+    out = tmp_path / "out"
+    wanted = request(sample_city, out)
+    populate(wanted)
+    before = read_layer(out / "register.gpkg", "trees")
+    picture = (out / "map.png").read_bytes()
+    monkeypatch.setattr("urbanforest_cli.growth.simulate.grow_grove", None)
+    show_year(out / "register.gpkg", 5)
+    assert [step["would"] for step in plan(wanted)][:4] == ["keep"] * 4
+    populate(wanted)
+    pd.testing.assert_frame_equal(read_layer(out / "register.gpkg", "trees"), before)
+    earlier = replace(wanted, year=5)
+    assert [step["would"] for step in plan(earlier)] == ["keep"] * 4 + ["run"]
+    assert populate(earlier)[3].counts["year"] == 5
+    then = read_layer(out / "register.gpkg", "trees")
+    assert then["height_m"].sum() < 0.5 * before["height_m"].sum()
+    assert (out / "map.png").read_bytes() != picture
+    assert "year 5" in (out / "report.html").read_text(encoding="utf-8")
+    assert all(summary.up_to_date for summary in populate(earlier))
+    populate(wanted)
+    pd.testing.assert_frame_equal(read_layer(out / "register.gpkg", "trees"), before)
+    assert (out / "map.png").read_bytes() == picture
 
 
 def test_one_changed_lot_is_placed_again_and_the_result_is_that_of_a_full_run(sample_city, tmp_path):
@@ -152,10 +242,12 @@ def test_the_crs_of_the_lots_does_not_matter(sample_city, tmp_path, code):
 
 
 def test_stopping_early_and_going_on_is_a_full_run(sample_city, tmp_path):
-    for until in ("stencil", "diffuse", "place"):
+    for until in ("stencil", "diffuse", "place", "grow"):
         populate(request(sample_city, tmp_path / "steps", until=until))
-    populate(request(sample_city, tmp_path / "whole", until="place"))
+    populate(request(sample_city, tmp_path / "whole", until="grow"))
     pd.testing.assert_frame_equal(plants_of(tmp_path / "steps"), plants_of(tmp_path / "whole"))
+    steps, whole = (read_layer(tmp_path / name / "register.gpkg", "trees") for name in ("steps", "whole"))
+    pd.testing.assert_frame_equal(steps, whole)
 
 
 KILLER = """
@@ -172,7 +264,10 @@ def counted(function):
 os.replace, os.fsync, os.open = counted(os.replace), counted(os.fsync), counted(os.open)
 from pathlib import Path
 from urbanforest_cli.files.configs import load_config
+from urbanforest_cli.growth import batches, simulate
 from urbanforest_cli.pipeline import Request, populate
+from tests.growth import fake
+simulate.grow_grove, batches.PLANTS_A_PART = fake.grow_grove, 60
 config = load_config(settings=["export.map_width_px=300"], environment={}).config
 populate(Request(city=Path(sys.argv[1]), out=Path(sys.argv[2]), config=config, seed=int(sys.argv[4])))
 print("calls", calls)
@@ -181,26 +276,34 @@ print("calls", calls)
 
 def killed_run(city, out, target, seed=1):
     arguments = [sys.executable, "-c", KILLER, str(city), str(out), str(target), str(seed)]
-    return subprocess.run(arguments, capture_output=True, text=True, check=False)
+    return subprocess.run(arguments, capture_output=True, text=True, check=False, cwd=ROOT)
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_a_killed_run_leaves_old_or_new_and_the_next_goes_on(sample_city, tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
-    wanted = tmp_path / "wanted"
-    calls = int(killed_run(sample_city, wanted, -1).stdout.split()[-1])
-    old = tmp_path / "old"
+    old, wanted, again = (tmp_path / name for name in ("old", "wanted", "again"))
     killed_run(sample_city, old, -1, seed=2)
-    hashes = {name: {sha256_of(old / name), sha256_of(wanted / name)} for name in OUTPUTS}
-    for target in range(1, calls + 1, max(1, calls // 25)):
+    killed_run(sample_city, wanted, -1)
+    before, after = hashes_of(old), hashes_of(wanted)
+    shutil.copytree(old, again)
+    calls = int(killed_run(sample_city, again, -1).stdout.split()[-1])
+    assert len(after) > len(OUTPUTS) + 2
+    for target in range(1, calls + 1, max(1, calls // 20)):
         out = tmp_path / f"killed-{target}"
         shutil.copytree(old, out)
         assert killed_run(sample_city, out, target).returncode == -9
-        for name in OUTPUTS:
-            assert sha256_of(out / name) in hashes[name], f"{name} is torn after a kill at call {target}"
+        for name, sha in hashes_of(out).items():
+            assert sha in (before.get(name), after.get(name)), f"{name} is torn after a kill at call {target}"
+        assert parts_are_there(out / "register.gpkg"), f"a part is missing after a kill at call {target}"
         assert killed_run(sample_city, out, -1).returncode == 0
-        assert sorted(path.name for path in out.iterdir()) == OUTPUTS
+        assert sorted(path.name for path in out.iterdir()) == PUBLISHED
         assert plants_of(out).equals(plants_of(wanted))
+        assert read_layer(out / "register.gpkg", "trees").equals(read_layer(wanted / "register.gpkg", "trees"))
+        rewritten = ("register.gpkg", "report.html", "report.json")  # a file written in more steps has other pages
+        assert hashes_of(out).keys() == after.keys()
+        assert {k: v for k, v in hashes_of(out).items() if k not in rewritten}.items() <= after.items()
 
 
 def test_a_run_that_was_killed_is_gone_on_with(sample_city, tmp_path, monkeypatch):
@@ -215,8 +318,31 @@ def test_a_run_that_was_killed_is_gone_on_with(sample_city, tmp_path, monkeypatc
             populate(request(sample_city, out))
     assert [path.name for path in out.iterdir()] == [WORK_FOLDER]
     summaries = populate(request(sample_city, out))
-    assert [summary.up_to_date for summary in summaries] == [True, True, False, False]
-    assert sorted(path.name for path in out.iterdir()) == OUTPUTS
+    assert [summary.up_to_date for summary in summaries] == [True, True, False, False, False]
+    assert sorted(path.name for path in out.iterdir()) == PUBLISHED
+
+
+def test_a_growth_that_was_killed_is_gone_on_with(sample_city, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    monkeypatch.setattr("urbanforest_cli.growth.batches.PLANTS_A_PART", 30)
+    calls = []
+
+    def stopped(*arguments):
+        calls.append(arguments)
+        if len(calls) > 40:
+            raise KeyboardInterrupt
+        return fake.grow_grove(*arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("urbanforest_cli.growth.simulate.grow_grove", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            populate(request(sample_city, out))
+    summary = populate(request(sample_city, out))[3]
+    assert 0 < summary.counts["groves_reused"] <= 40
+    populate(request(sample_city, tmp_path / "whole"))
+    parts = [{n: sha for n, sha in hashes_of(path).items() if "part" in n} for path in (out, tmp_path / "whole")]
+    assert parts[0] == parts[1]
+    assert sorted(path.name for path in out.iterdir()) == PUBLISHED
 
 
 def test_two_runs_in_one_folder_are_refused(sample_city, tmp_path):
@@ -248,7 +374,7 @@ def test_too_many_bad_lots_are_told_with_exit_code_3_and_the_rest_is_written(tin
         with pytest.raises(PartlyDoneError) as caught:
             populate(request(tiny_city, tmp_path / "out", max_bad_fraction=0))
         assert caught.value.exit_code == 3
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == OUTPUTS
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == PUBLISHED
     populate(request(tiny_city, tmp_path / "out"))
 
 
@@ -269,6 +395,14 @@ def test_a_city_without_lots_is_planted_with_nothing_and_said_so(tmp_path):
     assert "W_EMPTY" in summaries[0].notices
 
 
+@pytest.mark.usefixtures("_real_growth")
+def test_a_small_city_grows_up_for_real(tiny_city, tmp_path):
+    summaries = populate(request(tiny_city, tmp_path / "out", settings=["zones.default.age_max_years=6"], workers=2))
+    trees = read_layer(tmp_path / "out" / "register.gpkg", "trees")
+    assert (trees["grown"] == "unique").mean() > 0.8
+    assert summaries[3].counts["internodes_retained"] == trees["internode_count"].sum() > 0
+
+
 def test_a_register_is_not_taken_for_a_city(sample_city, tmp_path):
     populate(request(sample_city, tmp_path / "out", until="place"))
     with pytest.raises(InputError, match="an output of this program"):
@@ -286,10 +420,13 @@ def test_stages_by_hand_go_on_with_the_registers_own_seed_and_config(sample_city
     assert runner("stencil", sample_city, "-o", register, "--seed", 5, "--set", "context.passes=2").exit_code == 0
     assert runner("diffuse", register).exit_code == 0
     assert runner("place", register).exit_code == 0
+    assert runner("grow", register).exit_code == 0
     outcome = runner(
-        "populate", sample_city, "-o", tmp_path / "whole", "--seed", 5, "--set", "context.passes=2", "--until", "place"
+        "populate", sample_city, "-o", tmp_path / "whole", "--seed", 5, "--set", "context.passes=2", "--until", "grow"
     )
     assert outcome.exit_code == 0, outcome.stderr
+    hand, whole = (read_layer(tmp_path / name / "register.gpkg", "trees") for name in ("hand", "whole"))
+    pd.testing.assert_frame_equal(hand, whole)
     pd.testing.assert_frame_equal(plants_of(tmp_path / "hand"), plants_of(tmp_path / "whole"))
     again = runner("place", register, "--set", "zones.residential.density=0.9")
     assert "which stay in force" in again.stderr

@@ -22,8 +22,9 @@ COMMANDS = {
     "stencil": ("stencil", "Cut out of each lot the ground that may be planted."),
     "diffuse": ("diffuse", "Let neighbouring lots share their parameters."),
     "place": ("place", "Place plants in the ground of each lot."),
+    "grow": ("grow", "Grow every plant into a skeleton, in the sight of its neighbours and of buildings."),
     "evaluate": ("evaluate", "Judge placed plants against real ones."),
-    "figures": ("figures", "Render the paper's placement figures with this program's own strategies."),
+    "figures": ("figures", "Render the paper's figures with this program's own strategies and plants."),
     "config": ("config", "Show, check and start configs."),
     "info": ("info", "Tell where an output comes from, or what a parameter means."),
 }

@@ -23,11 +23,13 @@ from urbanforest_cli.core.summary import StageSummary
 from urbanforest_cli.export.stage import OUTPUTS, export_key, export_outputs
 from urbanforest_cli.files.geopackage import refuse_foreign, refuse_sidecars, row_count
 from urbanforest_cli.files.provenance import Record, read_records
+from urbanforest_cli.files.skeleton_parts import link_parts, move_parts, parts_are_there, parts_folder, remove_strays
 from urbanforest_cli.files.species import load_catalogue
+from urbanforest_cli.growth.stage import grow_key, grow_plants, grown_key, show_year, shows_year
 from urbanforest_cli.placement.stage import place_key, place_plants
 from urbanforest_cli.register.stage import refuse_too_many_bad, stencil_city, stencil_key
 
-STAGES = ("stencil", "diffuse", "place", "export")
+STAGES = ("stencil", "diffuse", "place", "grow", "export")
 REGISTER = "register.gpkg"
 REPORT = "report.json"
 WORK_FOLDER = ".urbanforest-work"
@@ -46,6 +48,7 @@ class Request:
     assume_crs: str | None = None
     lots_layer: str | None = None
     max_bad_fraction: float | None = None
+    year: int | None = None
 
 
 def default_out(city: Path) -> Path:
@@ -107,11 +110,13 @@ def stage_keys(request: Request) -> dict[str, str]:
     )
     diffuse = diffuse_key(stencil, config=request.config, seed=request.seed)
     place = place_key(diffuse, config=request.config, seed=request.seed, catalogue=catalogue)
+    grow = grow_key(place, config=request.config, seed=request.seed, catalogue=catalogue)
     return {
         "stencil": stencil,
         "diffuse": diffuse,
         "place": place,
-        "export": export_key(place, config=request.config, seed=request.seed),
+        "grow": grow,
+        "export": export_key(f"{grow} {request.year}", config=request.config, seed=request.seed),
     }
 
 
@@ -155,12 +160,27 @@ def _stages_done(register: Path, keys: dict[str, str], until: str) -> list[str]:
         return []
     done = []
     for stage in _register_stages(until):
-        if stage not in records or records[stage].stage_key != keys[stage]:
+        if stage not in records:
+            break
+        key = grown_key(records[stage]) if stage == "grow" else records[stage].stage_key
+        if key != keys[stage]:
             break
         if stage == "place" and row_count(register, "plants") != records[stage].counts.get("plants"):
             break  # changed by somebody else since
+        if stage == "grow" and not _skeletons_whole(register, records[stage]):
+            break
         done.append(stage)
     return done
+
+
+def _year_shown(register: Path, year: int | None) -> bool:
+    return shows_year(read_records(register)["grow"], year)
+
+
+def _skeletons_whole(register: Path, record: Record) -> bool:
+    """Tell whether what a register says of its skeletons still holds."""
+    counted = row_count(register, "trees") == record.counts.get("plants")
+    return counted and row_count(register, "groves") == record.counts.get("groves") and parts_are_there(register)
 
 
 def _run(request: Request, keys: dict[str, str], progress: Progress) -> list[StageSummary]:
@@ -168,8 +188,10 @@ def _run(request: Request, keys: dict[str, str], progress: Progress) -> list[Sta
     published = request.out / REGISTER
     done = _stages_done(published, keys, request.until)
     work = request.out / WORK_FOLDER
-    if len(done) == len(wanted) and (request.until != "export" or _exports_fresh(request.out, keys["export"])):
+    whole = len(done) == len(wanted) and ("grow" not in wanted or _year_shown(published, request.year))
+    if whole and (request.until != "export" or _exports_fresh(request.out, keys["export"])):
         shutil.rmtree(work, ignore_errors=True)
+        remove_strays(published)
         kept = _kept(published, wanted)
         if request.until == "export":
             kept["export"] = StageSummary("export", request.out, up_to_date=True)
@@ -216,12 +238,23 @@ def _run_stages(request: Request, keys: dict[str, str], register: Path, progress
             previous=published if published.exists() else None,
             progress=progress,
         ),
+        "grow": lambda: grow_plants(
+            register,
+            config=request.config,
+            seed=request.seed,
+            workers=request.workers,
+            previous=published,
+            progress=progress,
+        ),
     }
     for stage in wanted:
         if stage not in summaries:
             summary = steps[stage]()
             summary.output = published
             summaries[stage] = summary
+    if "grow" in wanted and not _year_shown(register, request.year):
+        summaries["grow"] = show_year(register, request.year)
+        summaries["grow"].output = published
     if request.until == "export":
         summaries["export"] = export_outputs(
             register,
@@ -243,12 +276,14 @@ def _work_register(work: Path, published: Path, keys: dict[str, str], until: str
     try:
         work.mkdir(exist_ok=True)
         unfinished = len(_stages_done(register, keys, until))
-        kept = len(_stages_done(published, keys, until))
-        if unfinished == 0 or kept > unfinished:
+        kept = _stages_done(published, keys, until)
+        if unfinished == 0 or len(kept) > unfinished:
             shutil.rmtree(work)
             work.mkdir()
             if kept:
                 shutil.copyfile(published, register)
+            if "grow" in kept:
+                link_parts(published, register)
     except OSError as error:
         raise output_error(work, error) from error
     return register
@@ -277,14 +312,19 @@ def _exports_fresh(out: Path, key: str) -> bool:
 
 
 def _publish_all(work: Path, out: Path, until: str) -> None:
-    """Move all that is ready into place, the report last: it vouches for the others by their hashes."""
+    """Move all that is ready into place: skeletons before the register that names them, those it names no longer after.
+
+    The report is last: it vouches for the others by their hashes.
+    """
     names = [REGISTER, *(name for name in OUTPUTS if name != REPORT), REPORT] if until == "export" else [REGISTER]
     try:
         for name in names:
             sync_file(work / name)
+        move_parts(work / REGISTER, parts_folder(out / REGISTER))
         for name in names:
             os.replace(work / name, out / name)
         sync_folder(out)
+        remove_strays(out / REGISTER)
         shutil.rmtree(work)
     except OSError as error:
         raise output_error(out, error) from error

@@ -19,7 +19,7 @@ from urbanforest_cli.export.stage import OUTPUTS, export_key, export_outputs
 from urbanforest_cli.files.configs import load_config
 from urbanforest_cli.files.describe import describe_output
 from urbanforest_cli.files.geopackage import write_layers
-from urbanforest_cli.files.provenance import Record
+from urbanforest_cli.files.provenance import Record, provenance_frame
 
 FEET = 2263
 WORKING = CRS.from_epsg(32618)
@@ -190,3 +190,113 @@ def test_the_key_hangs_on_what_is_shown_alone(config):
     assert export_key("p", config=config, seed=1) != export_key("p", config=wider, seed=1)
     assert export_key("p", config=config, seed=1) != export_key("q", config=config, seed=1)
     assert export_key("p", config=config, seed=1) == export_key("p", config=denser, seed=1)
+
+
+SIZES = ("height_m", "crown_radius_m", "crown_base_m", "dbh_m")
+
+
+@pytest.fixture(params=[("unique", None, 4.5), ("dead", "died", 0.0), ("none", "out_of_focus", 0.0)])
+def fate(request):
+    """What became of the second plant: the layer's grown, reason and crown radius."""
+    return request.param
+
+
+def grow(register, fate, *, place="k2", plant_ids=("x-0", "x-1"), year=None):
+    """Give the plants grown trees, the second with a fate."""
+    plants = gpd.read_file(register, layer="plants")
+    grown, reason, radius = fate
+    columns = {"plant_id": list(plant_ids), "lot_id": plants["lot_id"], "species": plants["species"],
+               "habit": plants["habit"], "age_years": plants["age_years"], "height_m": [12.5, 3 * radius],
+               "crown_radius_m": [6.0, radius], "crown_base_m": [2.0, radius / 9], "dbh_m": [0.31, 0.0],
+               "internode_count": [3000, int(40 * radius)], "skeleton_id": [1, 2], "grown": ["unique", grown],
+               "reason": [None, reason], "key_distance": np.nan, "yaw_deg": 0.0, "mirror": 0, "scale": 1.0}  # fmt: skip
+    counts = {"plants": 2, "detail": "unique", "bytes": 900, "library_compared": 7, "library_overlap_median": 0.61,
+              "library_overlap_worst_tenth": 0.4,
+              **{f"internodes_{name}": n for name, n in
+                 (("generated", 5000), ("retained", 3000), ("shed", 1500), ("pruned", 500))}}  # fmt: skip
+    config = {"growth": {"environment": "both"}} | ({"year": year} if year is not None else {})
+    record = Record("grow", seed=5, working_crs=WORKING, config=config, stage_key="k3", counts=counts,
+                    inputs=[{"name": "place", "sha256": place}])  # fmt: skip
+    trees = gpd.GeoDataFrame(columns, geometry=plants.geometry, crs=plants.crs)
+    write_layers(register, {"trees": trees, "provenance": provenance_frame(register, record)})
+
+
+@pytest.fixture
+def own(register, tmp_path):
+    return Path(shutil.copy(register, tmp_path / "register.gpkg"))
+
+
+def features(path):
+    return [feature["properties"] for feature in json.loads(path.read_text())["features"]]
+
+
+def test_grown_sizes_go_out_with_the_plants(own, tmp_path, config, fate):
+    grow(own, fate)
+    export_outputs(own, tmp_path / "out", config=config)
+    first, second = features(tmp_path / "out" / "plants.geojson")
+    assert [first[name] for name in SIZES] == [12.5, 6.0, 2.0, 0.31]
+    assert (first["grown"], first["reason"]) == ("unique", None)
+    assert (second["grown"], second["reason"]) == fate[:2]
+    radius = None if fate[1] == "out_of_focus" else fate[2]
+    assert second["crown_radius_m"] == radius
+    assert second["envelope_radius_m"] == 1.0
+
+
+def test_the_map_draws_crowns_as_they_grew(own, tmp_path, config, fate, monkeypatch):
+    seen = []
+    monkeypatch.setattr("urbanforest_cli.export.stage.draw_map", lambda layers, **rest: seen.append((layers, rest)))
+    monkeypatch.setattr("urbanforest_cli.export.stage.png_of", lambda *rest: (_ for _ in ()).throw(StopAsking))
+    grow(own, fate)
+    with pytest.raises(StopAsking):
+        export_outputs(own, tmp_path / "out", config=config)
+    ((layers, rest),) = seen
+    envelope = 1.0
+    assert layers.plant_radius_m.tolist() == [6.0, envelope if fate[1] == "out_of_focus" else fate[2]]
+    assert "as they grew" in rest["notes"][0]
+
+
+class StopAsking(Exception):
+    """No more than the map is wanted."""
+
+
+def test_the_report_tells_of_growth(own, tmp_path, config, fate):
+    grow(own, fate, year=30)
+    export_outputs(own, tmp_path / "out", config=config)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    growth = report["growth"]
+    fates = {row["fate"]: row["plants"] for row in growth["fates"]}
+    assert sum(fates.values()) == growth["plants"] == 2
+    assert fates["unique"] == (2 if fate[0] == "unique" else 1)
+    assert fates.get(fate[1] or "unique") >= 1
+    assert growth["internodes"] == 3000 + (180 if fate[0] == "unique" else 0)
+    assert growth["internodes_grown"] == {"generated": 5000, "retained": 3000, "shed": 1500, "pruned": 500}
+    lime = next(row for row in growth["species"] if row["species"] == "tilia_cordata")
+    assert (lime["height_median_m"], lime["crown_diameter_median_m"], lime["dbh_median_m"]) == (12.5, 12.0, 0.31)
+    assert growth["library"]["compared"] == 7
+    assert growth["library"]["figures"][0]["median"] == 0.61
+    assert growth["year"] == report["provenance"]["year"] == 30
+    radius = 1.0 if fate[1] == "out_of_focus" else fate[2]
+    crowns = np.pi * (6.0**2 + radius**2) / 6700.0
+    assert report["headline"]["crown_share"] == pytest.approx(crowns, abs=2e-4)
+    page = (tmp_path / "out" / "report.html").read_text()
+    for text in ("Growth", "light and room", "3,000 internodes" if fate[0] != "unique" else "3,180 internodes",
+                 "shown in year 30", "held against 7 plants", "overlap"):  # fmt: skip
+        assert text in page
+
+
+@pytest.mark.parametrize("stale", [{"place": "k-older"}, {"plant_ids": ("x-1", "x-0")}])
+def test_trees_of_an_older_placement_are_left_out_and_counted(own, tmp_path, config, stale):
+    grow(own, ("unique", None, 4.5), **stale)
+    summary = export_outputs(own, tmp_path / "out", config=config)
+    assert summary.notices.count("W_TREES_STALE") == 1
+    assert "height_m" not in features(tmp_path / "out" / "plants.geojson")[0]
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["growth"] is None
+    assert "<h2>Growth</h2>" not in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_register_that_has_not_grown_is_exported_with_envelopes(exported):
+    out, summary = exported
+    assert len(summary.notices) == 0
+    assert "height_m" not in features(out / "plants.geojson")[0]
+    assert json.loads((out / "report.json").read_text())["growth"] is None

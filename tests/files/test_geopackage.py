@@ -3,6 +3,7 @@ import resource
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 
 import geopandas as gpd
 import pandas as pd
@@ -55,6 +56,22 @@ def test_replacing_one_layer_leaves_the_others(register):
     write_layers(register, {"plants": plants(5)})
     assert len(read_layer(register, "plants")) == 5
     assert len(read_layer(register, "provenance", geometry=False)) == 1
+
+
+def test_layers_that_are_dropped_leave_nothing_behind(register):
+    trees = plants().rename(columns={"envelope_radius_m": "radius"})
+    write_layers(register, {"mine": trees, "table": provenance()}, geometry_types={"mine": "Point"})
+    before = set(layer_names(register))
+    write_layers(register, {"plants": plants(5)}, drop=("mine", "table", "never there"))
+    assert set(layer_names(register)) == before - {"mine", "table"}
+    with closing(sqlite3.connect(register)) as inside:
+        names = [row[0] for row in inside.execute("SELECT name FROM sqlite_master")]
+        assert not [name for name in names if "mine" in name]
+        for table in ("gpkg_contents", "gpkg_geometry_columns", "gpkg_extensions", "gpkg_ogr_contents"):
+            assert not [row for row in inside.execute(f"SELECT table_name FROM {table}") if row[0] in ("mine", "table")]
+        assert inside.execute("PRAGMA integrity_check").fetchone()[0] == "ok"
+    write_layers(register, {"mine": trees}, geometry_types={"mine": "Point"})
+    assert len(read_layer(register, "mine")) == 3
 
 
 def test_rows_cached_count_and_index_agree_after_every_write(register):

@@ -1,4 +1,5 @@
 import json
+import re
 import sqlite3
 import xml.etree.ElementTree as ElementTree
 from contextlib import closing
@@ -56,6 +57,22 @@ def colours_by_value(qml):
 def register(tmp_path):
     path = tmp_path / "register.gpkg"
     write_layers(path, frames(), fresh=True)
+    return path
+
+
+@pytest.fixture
+def grown(tmp_path):
+    """A register with one tree of an unknown species, grown, and a building."""
+    path = tmp_path / "register.gpkg"
+    tree = {"plant_id": "a-0", "lot_id": "a", "species": "<oak>", "habit": "tree", "age_years": 3.0, "height_m": 4.0,
+            "crown_radius_m": 1.5, "crown_base_m": 1.0, "dbh_m": 0.03, "internode_count": 40, "skeleton_id": 7,
+            "grown": "unique", "reason": None, "key_distance": float("nan"), "yaw_deg": 0.0, "mirror": 0,
+            "scale": 1.0}  # fmt: skip
+    house = gpd.GeoDataFrame(
+        {"building_id": ["h"], "height_m": [6.0]}, geometry=[shapely.MultiPolygon([shapely.box(0, 0, 1, 1)])], crs=CRS
+    )
+    trees = gpd.GeoDataFrame({name: [value] for name, value in tree.items()}, geometry=[shapely.Point(5, 5)], crs=CRS)
+    write_layers(path, {"trees": trees, "buildings": house}, fresh=True)
     return path
 
 
@@ -137,3 +154,31 @@ def test_layers_without_a_style_leave_the_file_alone(tmp_path):
     houses = gpd.GeoDataFrame({"height_m": [3.0]}, geometry=[shapely.box(0, 0, 1, 1)], crs=CRS)
     write_layers(path, {"buildings": houses}, fresh=True, geometry_types={"buildings": "Polygon"})
     assert "layer_styles" not in pyogrio.list_layers(path)[:, 0]
+
+
+def test_grown_crowns_are_at_their_true_size_low_ones_under_high_ones(grown):
+    trees = style(grown, "trees")
+    assert trees.get("styleCategories") == "Symbology|MapTips"
+    assert trees.find("renderer-v2").get("attr") == "species"
+    assert trees.find("renderer-v2").get("enableorderby") == "1"
+    assert trees.find("renderer-v2/orderby/orderByClause").text == '"height_m"'
+    for symbol in trees.iter("symbol"):
+        properties = {prop.get("k"): prop.get("v") for prop in symbol.iter("prop")}
+        assert properties["size_unit"] == "RenderMetersInMapUnits"
+        expression = symbol.find(".//Option[@name='size']/Option[@name='expression']").get("value")
+        assert expression == '2 * "crown_radius_m"'
+    assert colours_by_value(trees)["<oak>"] != colours_by_value(trees)[""]
+
+
+def test_the_tip_of_a_grown_plant_names_columns_that_are_there(grown):
+    tip = style(grown, "trees").find("mapTip")
+    assert tip.get("enabled") == "1"
+    columns = set(pyogrio.read_dataframe(grown, layer="trees").columns)
+    assert set(re.findall(r'"(\w+)"', tip.text)) <= columns
+    assert tip.text.count("[%") == tip.text.count("%]") > 3
+
+
+def test_buildings_of_a_register_are_filled_without_labels(grown):
+    buildings = style(grown, "buildings")
+    assert list(colours_by_value(buildings)) == [""]
+    assert buildings.get("styleCategories") == "Symbology"

@@ -77,6 +77,37 @@ def test_the_users_columns_come_along_and_clashing_names_are_kept_as_source(sten
     assert lots.loc[["a", "b"], "source_zone"].tolist() == ["Street ", "residential"]
 
 
+def test_buildings_come_along_those_outside_all_lots_too(run, tmp_path):
+    city = tmp_path / "city.gpkg"
+    write_layer(city, "lots", [lot()], lot_id=["a"])
+    bow_tie = Polygon([(WEST + 100, SOUTH), (WEST + 110, SOUTH + 10), (WEST + 110, SOUTH), (WEST + 100, SOUTH + 10)])
+    write_layer(
+        city, "buildings", [house(), house(5, 5), bow_tie, None, house(0, 4), house(0, 5)],
+        building_id=["own", None, "bow", "gone", "x", "y"], Height_M=[12.5, None, 7.0, 3.0, -2.0, 5000.0],
+    )  # fmt: skip
+    register = run(city)
+    buildings = register.layer("buildings")
+    assert buildings["building_id"].tolist() == ["own", "2", "bow", "x", "y"]
+    assert buildings["height_m"].fillna(-1).tolist() == [12.5, -1, 7.0, -1, -1]
+    assert register.notices.count("W_BUILDING_HEIGHT") == 2
+    assert shapely.is_valid(buildings.geometry.to_numpy()).all()
+    assert buildings.geometry.area.round(6).tolist() == [100.0, 100.0, 50.0, 100.0, 100.0]
+    assert buildings.crs == register.layer("lots").crs
+
+
+def test_heights_that_are_text_are_read_where_they_are_numbers(run, tmp_path):
+    city = tmp_path / "city.gpkg"
+    write_layer(city, "lots", [lot()], lot_id=["a"])
+    write_layer(city, "buildings", [house(), house(1), house(2)], height_m=["9.5", "high", None])
+    register = run(city)
+    assert register.layer("buildings")["height_m"].fillna(-1).tolist() == [9.5, -1, -1]
+    assert register.notices.count("W_BUILDING_HEIGHT") == 1
+
+
+def test_a_city_without_buildings_has_the_layer_without_rows(stencil):
+    assert len(stencil([lot()]).layer("buildings")) == 0
+
+
 def test_columns_of_any_kind_come_along(tmp_path, run):
     city = tmp_path / "city.geojson"
     ring = [[15, 48], [15.001, 48], [15.001, 48.001], [15, 48.001], [15, 48]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -24,6 +25,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 LOG_EVERY_S = 30.0
 
 
+def cores() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 class FilePath(click.Path):
     """A path, as `pathlib.Path`; whether it can be used is for the stage to say."""
 
@@ -42,7 +48,7 @@ set_opt = click.option(
 seed_opt = click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Root of every random stream.")
 json_opt = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 workers_opt = click.option(
-    "--workers", type=click.IntRange(1, 1024), default=1, show_default=True,
+    "--workers", type=click.IntRange(1, 1024), default=cores, show_default="all cores",
     help="Threads to work with; the result is the same for any number.",
 )  # fmt: skip
 assume_crs_opt = click.option("--assume-crs", metavar="EPSG:CODE", help="CRS of input that states none.")

@@ -15,8 +15,12 @@ from urbanforest_cli.commands import options
 @click.option("-o", "--output", "out", type=options.FilePath(), help="Folder to write to.  [default: CITY-forest]")
 @options.config_opts
 @click.option(
-    "--until", type=click.Choice(["stencil", "diffuse", "place", "export"]), default="export", show_default=True,
-    help="Last stage to run.",
+    "--until", type=click.Choice(["stencil", "diffuse", "place", "grow", "export"]), default="export",
+    show_default=True, help="Last stage to run.",
+)  # fmt: skip
+@click.option(
+    "--year", type=int, metavar="Y",
+    help="Show the city Y years after its oldest plant was planted, or below 0, before today.  [default: today]",
 )  # fmt: skip
 @options.workers_opt
 @options.assume_crs_opt
@@ -32,6 +36,7 @@ def command(
     settings: tuple[str, ...],
     seed: int | None,
     until: str,
+    year: int | None,
     workers: int,
     assume_crs: str | None,
     lots_layer: str | None,
@@ -41,13 +46,14 @@ def command(
 ) -> None:
     """Fill CITY, a GeoPackage with a layer of lots, with plants.
 
-    Writes register.gpkg, plants.geojson, map.png, report.html and report.json. A second run does again only what
-    changed; a run that was stopped is gone on with.
+    Writes register.gpkg, the plants' skeletons in skeletons/, plants.geojson, map.png, report.html and report.json.
+    A second run does again only what changed; a run that was stopped is gone on with.
 
     \b
     Example:
         urbanforest populate rome.gpkg
         urbanforest populate rome.gpkg -o rome-dense -c dense.toml --seed 7
+        urbanforest populate rome.gpkg --year -10
     """
     city, lots_layer = options.city_and_layer(city, lots_layer)
     from urbanforest_cli import pipeline
@@ -59,6 +65,7 @@ def command(
         config=config,
         seed=seed,
         until=until,
+        year=year,
         workers=workers,
         assume_crs=assume_crs,
         lots_layer=lots_layer,

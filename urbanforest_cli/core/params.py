@@ -93,7 +93,7 @@ class PlacementParams:
     )  # fmt: skip
     pruning_factor: float = _param(
         1.0, symbol="gamma", unit="1", low=0.0, high=1.0, minimum=0.0, maximum=1.0,
-        kind="fraction", family="structural", doc="scale of the crown volume kept by pruning, 1 unpruned",
+        kind="fraction", family="structural", doc="scale of the sides of the crown's bounding volume, 1 unpruned",
     )  # fmt: skip
     species_count: float = _param(
         4, symbol="lambda", unit="1", low=1, high=10, minimum=1, maximum=1000,

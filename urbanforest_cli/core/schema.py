@@ -16,7 +16,7 @@ from urbanforest_cli.core.params import PARAMETERS
 if TYPE_CHECKING:
     import pandas as pd
 
-REGISTER_VERSION = 1
+REGISTER_VERSION = 2
 RESOLVED_PREFIX = "resolved_"
 
 ColumnType = Literal["text", "number", "integer"]
@@ -36,6 +36,15 @@ SKIP_REASONS = {
     "too_many_plants": "it would hold more plants than placement.max_plants_per_lot",
     "too_large": "it is longer than 500 km",
 }
+
+GROW_REASONS = {
+    "died": "it died in the shade of others",
+    "no_room": "it stands inside a building, or nothing could grow where it stands",
+    "out_of_focus": "only some lots were asked for, and it was not grown before",
+    "unborn": "it was not yet planted in the year shown",
+}
+GROWN = ("unique", "library", "dead", "none")
+GROW_LAYERS = ("trees", "groves", "skeleton_parts")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +110,13 @@ LAYERS: dict[str, Layer] = {
             },
         ),
         Layer(
+            "buildings", "stencil", "cleaned buildings, those outside all lots too", geometry="MultiPolygon",
+            columns={
+                "building_id": Column("text", "the building's own id, or its row in the city's layer"),
+                "height_m": Column("number", "height of the walls, empty where unknown", nullable=True, low=0),
+            },
+        ),
+        Layer(
             "plants", "place", "every plant", geometry="Point",
             columns={
                 "plant_id": Column("text", "lot id and number within the lot", unique=True),
@@ -109,7 +125,7 @@ LAYERS: dict[str, Layer] = {
                 "habit": Column("text", "tree or shrub"),
                 "age_years": Column("number", "age", low=0),
                 "envelope_radius_m": Column("number", "radius of the room a plant takes", low=0),
-                "pruning_factor": Column("number", "crown volume kept, 1 unpruned", low=0, high=1),
+                "pruning_factor": Column("number", "scale of the sides of the crown's box, 1 unpruned", low=0, high=1),
             },
         ),
         Layer(
@@ -123,6 +139,50 @@ LAYERS: dict[str, Layer] = {
                 "radius_variance_m2": Column("number", "realised variance of the envelope radius", nullable=True),
                 "dominant_species": Column("text", "dominant species of the lot", nullable=True),
                 "place_key": Column("text", "hash of all that decided this lot's plants"),
+            },
+        ),
+        Layer(
+            "trees", "grow", "what became of every plant, in the order of layer plants", geometry="Point",
+            columns={
+                "plant_id": Column("text", "plant", unique=True),
+                "lot_id": _LOT,
+                "species": Column("text", "species identifier"),
+                "habit": Column("text", "tree or shrub"),
+                "age_years": Column("number", "age", low=0),
+                "height_m": Column("number", "height, 0 where nothing stands", low=0),
+                "crown_radius_m": Column("number", "mean reach of the crown over eight sectors", low=0),
+                "crown_base_m": Column("number", "height of the lowest living branch", low=0),
+                "dbh_m": Column("number", "diameter of the stems at 1.3 m, 0 for plants below", low=0),
+                "internode_count": Column("integer", "standing internodes", low=0),
+                "skeleton_id": Column("integer", "skeleton in the parts of skeletons/, empty for none", nullable=True),
+                "grown": Column("text", "unique, library, dead or none"),
+                "reason": Column("text", "why a plant is dead or has no skeleton, a code", nullable=True),
+                "key_distance": Column("number", "from the library's skeleton to the plant's own place", nullable=True),
+                "yaw_deg": Column("number", "turn of the skeleton, counter-clockwise", low=0, high=360),
+                "mirror": Column("integer", "1 where north is mirrored before the skeleton is turned", low=0, high=1),
+                "scale": Column("number", "factor on the skeleton's size", low=0),
+            },
+        ),
+        Layer(
+            "groves", "grow", "plants that grew together, and where their skeletons are",
+            columns={
+                "grove_id": Column("text", "lot id and number within the lot, or library and the plant", unique=True),
+                "lot_id": _LOT,
+                "kind": Column("text", "lot: grown for themselves; library: a plant grown to stand for many"),
+                "plant_count": Column("integer", "plants", low=1),
+                "part": Column("text", "file in skeletons/"),
+                "row_group": Column("integer", "row group of that file", low=0),
+                "grow_key": Column("text", "hash of all that decided these skeletons"),
+            },
+        ),
+        Layer(
+            "skeleton_parts", "grow", "files of skeletons/ that belong to this register",
+            columns={
+                "part": Column("text", "file name", unique=True),
+                "sha256": Column("text", "SHA-256 of the file"),
+                "bytes": Column("integer", "size of the file", low=1),
+                "skeleton_count": Column("integer", "skeletons", low=0),
+                "internode_count": Column("integer", "internodes, lost ones included", low=0),
             },
         ),
         Layer(

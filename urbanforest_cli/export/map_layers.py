@@ -41,7 +41,7 @@ class MapLayers:
     lots, lot_zone
         (n,) polygons and the index of each one's zone in `zones`.
     plant_xy, plant_radius_m, plant_species
-        (m, 2) positions, (m,) radii and indices into `species`.
+        (m, 2) positions, (m,) radii, 0 where nothing is to be drawn, and indices into `species`.
     buildings, building_height_m, roads, road_width_m
         Polygons with heights, lines or polygons with widths.
     """
@@ -65,12 +65,29 @@ class MapLayers:
         return Crowns(self.plant_xy, self.plant_radius_m, colours[self.plant_species], tall[self.plant_species])
 
 
+def shown_radius_m(plants: pd.DataFrame, trees: pd.DataFrame | None) -> FloatArray:
+    """Return how wide to draw each plant: as it grew, 0 where nothing stands, its envelope where it did not grow."""
+    envelope = plants["envelope_radius_m"].to_numpy(dtype=float)
+    if trees is None:
+        return envelope
+    return np.where(not_grown(trees), envelope, trees["crown_radius_m"].to_numpy(dtype=float))
+
+
+def not_grown(trees: pd.DataFrame) -> NDArray[np.bool_]:
+    """Tell of which plants nothing is known, since they were not among those to grow."""
+    return np.asarray(trees["reason"] == "out_of_focus", dtype=bool)
+
+
 @dataclass(frozen=True)
 class RegisterTables:
-    """The layers of a register without their geometry; frames of no rows where a stage wrote nothing."""
+    """The layers of a register without their geometry; frames of no rows where a stage wrote nothing.
+
+    `trees` has a row a plant, in the order of `plants`; None where these plants have not grown.
+    """
 
     lots: pd.DataFrame
     parameters: pd.DataFrame
     plants: pd.DataFrame
     placements: pd.DataFrame
     skipped: pd.DataFrame
+    trees: pd.DataFrame | None = None

@@ -4,9 +4,25 @@ from __future__ import annotations
 
 import json
 from base64 import b64encode
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
+
+from urbanforest_cli.export.page_growth import render_growth
+from urbanforest_cli.export.page_table import (
+    Column,
+    Row,
+    chip,
+    count_cell,
+    decimal,
+    number_cell,
+    percent,
+    share_cell,
+    table,
+    text_cell,
+    whole,
+    words,
+)
 
 PROVENANCE_ID = "urbanforest-provenance"
 
@@ -37,6 +53,13 @@ td small, .soft { color: var(--soft); }
   border: 1px solid rgba(0,0,0,.28); }
 .chip.box { border-radius: 2px; width: 20px; }
 .band { display: flex; height: 16px; border-radius: 3px; overflow: hidden; margin: 2px 0 16px; }
+.side { display: grid; grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); gap: 0 44px; margin: 18px 0; }
+.side h3, h3 { font-size: 14px; margin: 18px 0 4px; }
+.track { display: inline-block; position: relative; width: 150px; height: 9px; background: #ece9e1;
+  border-radius: 2px; }
+.track i { position: absolute; top: 0; height: 9px; background: var(--leaf); opacity: .75; border-radius: 2px; }
+.track b { position: absolute; top: -2px; width: 2px; height: 13px; background: var(--ink); }
+.bar.low { background: #b9b06a; margin-left: -6px; }
 .bar { display: inline-block; height: 9px; background: var(--leaf); border-radius: 2px; vertical-align: 1px;
   margin-right: 8px; min-width: 1px; }
 code, pre { font: 12.5px/1.5 ui-monospace, "SFMono-Regular", Menlo, Consolas, "DejaVu Sans Mono", monospace; }
@@ -51,11 +74,6 @@ footer { margin-top: 56px; border-top: 1px solid var(--line); padding-top: 14px;
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
 }
 """
-
-Row = Mapping[str, Any]
-Cell = Callable[[Row], str]
-Column = tuple[str, Cell, bool]
-"""Heading, what stands in a cell as HTML, and whether it is a number."""
 
 
 def render_html(record: Row, images: Mapping[str, bytes]) -> str:
@@ -74,15 +92,16 @@ def render_html(record: Row, images: Mapping[str, bytes]) -> str:
         f'<p class="lead">{_lead(record)}</p>',
         _figures(record["headline"]),
         _section("Map", _picture(images, "map", f"Map of {record['title']}: lots by zone, buildings, plants")),
-        _section("Zones", _table(record["zones"], _zone_columns(record["zones"]))),
+        _section("Zones", table(record["zones"], _zone_columns(record["zones"]))),
         _section("Species", _species(record["species"])),
-        _section("Strategies", _table(record["strategies"], STRATEGY_COLUMNS)),
+        _section("Growth", render_growth(record.get("growth"))),
+        _section("Strategies", table(record["strategies"], STRATEGY_COLUMNS)),
         _section("Typical lots", _typical(images)),
-        _section("Lots without plants", _table(record["skipped"], SKIPPED_COLUMNS, none="Every lot was planted.")),
-        _section("Warnings", _table(record["warnings"], WARNING_COLUMNS, none="None.")),
-        _section("Stages", _table(record["stages"], STAGE_COLUMNS)),
-        _section("Inputs", _table(record["provenance"].get("inputs") or [], INPUT_COLUMNS, none="None.")),
-        _section("Outputs", _table(record.get("outputs") or [], OUTPUT_COLUMNS, none="None.")),
+        _section("Lots without plants", table(record["skipped"], SKIPPED_COLUMNS, none="Every lot was planted.")),
+        _section("Warnings", table(record["warnings"], WARNING_COLUMNS, none="None.")),
+        _section("Stages", table(record["stages"], STAGE_COLUMNS)),
+        _section("Inputs", table(record["provenance"].get("inputs") or [], INPUT_COLUMNS, none="None.")),
+        _section("Outputs", table(record.get("outputs") or [], OUTPUT_COLUMNS, none="None.")),
         _section("Config", _config(record["config"])),
     ]
     provenance = json.dumps(record["provenance"], ensure_ascii=True, allow_nan=False).replace("<", "\\u003c")
@@ -116,16 +135,16 @@ def _lead(record: Row) -> str:
 
 def _figures(headline: Row) -> str:
     shown = [
-        (_whole(headline["plants"]), "plants"),
-        (_whole(headline["trees"]), "trees"),
-        (_whole(headline["shrubs"]), "shrubs"),
-        (_whole(headline["species"]), "species"),
-        (_whole(headline["lots"]), "lots"),
-        (_whole(headline["lots_planted"]), "lots planted"),
-        (_whole(headline["lots_skipped"]), "lots without plants"),
-        (_decimal(headline["area_ha"], 1), "hectares of lots"),
-        (_decimal(headline["plants_per_hectare"], 1), "plants a hectare"),
-        (_percent(headline["crown_share"]), "crowns over lots"),
+        (whole(headline["plants"]), "plants"),
+        (whole(headline["trees"]), "trees"),
+        (whole(headline["shrubs"]), "shrubs"),
+        (whole(headline["species"]), "species"),
+        (whole(headline["lots"]), "lots"),
+        (whole(headline["lots_planted"]), "lots planted"),
+        (whole(headline["lots_skipped"]), "lots without plants"),
+        (decimal(headline["area_ha"], 1), "hectares of lots"),
+        (decimal(headline["plants_per_hectare"], 1), "plants a hectare"),
+        (percent(headline["crown_share"]), "crowns over lots"),
     ]
     boxes = "".join(f"<div><b>{number}</b><span>{text}</span></div>" for number, text in shown)
     return f'<div class="figures">{boxes}</div>'
@@ -146,114 +165,66 @@ def _typical(images: Mapping[str, bytes]) -> str:
     return picture and picture + '\n<p class="soft">Yellow: the ground where plants may stand. Crowns at true size.</p>'
 
 
-def _table(rows: Sequence[Row], columns: Sequence[Column], *, none: str = "None.") -> str:
-    if not rows:
-        return f'<p class="none">{escape(none)}</p>'
-    marks = [' class="n"' if number else "" for _, _, number in columns]
-    head = "".join(f"<th{mark}>{escape(name)}</th>" for mark, (name, _, _) in zip(marks, columns, strict=True))
-    body = "\n".join(
-        "<tr>" + "".join(f"<td{mark}>{cell(row)}</td>" for mark, (_, cell, _) in zip(marks, columns, strict=True))
-        + "</tr>" for row in rows
-    )  # fmt: skip
-    return f"<table><thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody></table>"
-
-
-def _whole(value: Any) -> str:
-    return "\u2013" if value is None else f"{value:,.0f}"
-
-
-def _decimal(value: Any, decimals: int) -> str:
-    return "\u2013" if value is None else f"{value:,.{decimals}f}"
-
-
-def _percent(value: Any) -> str:
-    return "\u2013" if value is None else f"{100 * value:.1f}\u202f%"
-
-
-def _text(key: str) -> Cell:
-    return lambda row: escape(str(row.get(key, "")))
-
-
-def _count(key: str) -> Cell:
-    return lambda row: _whole(row.get(key))
-
-
-def _number(key: str, decimals: int) -> Cell:
-    return lambda row: _decimal(row.get(key), decimals)
-
-
-def _share(key: str) -> Cell:
-    return lambda row: _percent(row.get(key))
-
-
-def _chip(colour: str, shape: str = "") -> str:
-    return f'<span class="chip{shape}" style="background:{escape(colour)}"></span>'
-
-
 def _zone_columns(zones: Sequence[Row]) -> list[Column]:
     most = max((zone["plants_per_hectare"] or 0 for zone in zones), default=0) or 1
 
     def density(row: Row) -> str:
         width = round(90 * (row["plants_per_hectare"] or 0) / most)
-        return f'<span class="bar" style="width:{width}px"></span>{_decimal(row["plants_per_hectare"], 1)}'
+        return f'<span class="bar" style="width:{width}px"></span>{decimal(row["plants_per_hectare"], 1)}'
 
     return [
-        ("Zone", lambda row: _chip(row["colour"], " box") + escape(row["zone"]), False),
-        ("Lots", _count("lots"), True),
-        ("Planted", _count("lots_planted"), True),
-        ("Hectares", _number("area_ha", 1), True),
-        ("Plantable", _share("plantable_share"), True),
-        ("Plants", _count("plants"), True),
+        ("Zone", lambda row: chip(row["colour"], " box") + escape(row["zone"]), False),
+        ("Lots", count_cell("lots"), True),
+        ("Planted", count_cell("lots_planted"), True),
+        ("Hectares", number_cell("area_ha", 1), True),
+        ("Plantable", share_cell("plantable_share"), True),
+        ("Plants", count_cell("plants"), True),
         ("Plants a hectare", density, True),
-        ("Crowns over lots", _share("crown_share"), True),
+        ("Crowns over lots", share_cell("crown_share"), True),
     ]
 
 
 SPECIES_COLUMNS: list[Column] = [
-    ("Species", lambda row: _chip(row["colour"]) + f"<i>{escape(row['label'])}</i>", False),
-    ("Habit", _text("habit"), False),
-    ("Plants", _count("plants"), True),
-    ("Share", _share("share"), True),
-    ("Mean radius, m", _number("radius_mean_m", 2), True),
-    ("Mean age, years", _number("age_mean_years", 1), True),
+    ("Species", lambda row: chip(row["colour"]) + f"<i>{escape(row['label'])}</i>", False),
+    ("Habit", text_cell("habit"), False),
+    ("Plants", count_cell("plants"), True),
+    ("Share", share_cell("share"), True),
+    ("Mean envelope radius, m", number_cell("radius_mean_m", 2), True),
+    ("Mean age, years", number_cell("age_mean_years", 1), True),
 ]
 STRATEGY_COLUMNS: list[Column] = [
-    ("Strategy", _text("strategy"), False),
-    ("Lots", _count("lots"), True),
-    ("Planted", _count("lots_planted"), True),
-    ("Positions", _count("positions"), True),
-    ("Plants", _count("plants"), True),
-    ("Plants a planted lot", _number("plants_per_lot", 1), True),
-    ("Mean radius asked, m", _number("radius_asked_m", 2), True),
-    ("Mean radius got, m", _number("radius_realised_m", 2), True),
+    ("Strategy", text_cell("strategy"), False),
+    ("Lots", count_cell("lots"), True),
+    ("Planted", count_cell("lots_planted"), True),
+    ("Positions", count_cell("positions"), True),
+    ("Plants", count_cell("plants"), True),
+    ("Plants a planted lot", number_cell("plants_per_lot", 1), True),
+    ("Mean radius asked, m", number_cell("radius_asked_m", 2), True),
+    ("Mean radius got, m", number_cell("radius_realised_m", 2), True),
 ]
 SKIPPED_COLUMNS: list[Column] = [
-    ("Reason", lambda row: f"{_words(row['reason'])}<br><small>{escape(row['meaning'])}</small>", False),
-    ("Stage", _text("stage"), False),
-    ("Lots", _count("lots"), True),
+    ("Reason", lambda row: f"{words(row['reason'])}<br><small>{escape(row['meaning'])}</small>", False),
+    ("Stage", text_cell("stage"), False),
+    ("Lots", count_cell("lots"), True),
     ("Examples", lambda row: "<br>".join(_example(item) for item in row["examples"]), False),
 ]
 WARNING_COLUMNS: list[Column] = [
-    ("Stage", _text("stage"), False),
+    ("Stage", text_cell("stage"), False),
     ("Code", lambda row: f"<code>{escape(str(row.get('code', '')))}</code>", False),
-    ("What", _text("message"), False),
-    ("Count", _count("count"), True),
+    ("What", text_cell("message"), False),
+    ("Count", count_cell("count"), True),
     ("First", lambda row: escape(", ".join(map(str, row.get("examples") or ()))), False),
 ]
 STAGE_COLUMNS: list[Column] = [
-    ("Stage", _text("stage"), False),
-    ("Seconds", lambda row: "kept" if row.get("up_to_date") else _decimal(row.get("seconds"), 1), True),
-    ("Counts", lambda row: ", ".join(f"{_words(k)} {_value(v)}" for k, v in (row.get("counts") or {}).items()), False),
+    ("Stage", text_cell("stage"), False),
+    ("Seconds", lambda row: "kept" if row.get("up_to_date") else decimal(row.get("seconds"), 1), True),
+    ("Counts", lambda row: ", ".join(f"{words(k)} {_value(v)}" for k, v in (row.get("counts") or {}).items()), False),
 ]
 INPUT_COLUMNS: list[Column] = [
-    ("File", _text("name"), False),
+    ("File", text_cell("name"), False),
     ("SHA-256", lambda row: f"<code>{escape(str(row.get('sha256', '')))}</code>", False),
 ]
-OUTPUT_COLUMNS: list[Column] = [INPUT_COLUMNS[0], ("Bytes", _count("bytes"), True), INPUT_COLUMNS[1]]
-
-
-def _words(code: str) -> str:
-    return escape(code.replace("_", " "))
+OUTPUT_COLUMNS: list[Column] = [INPUT_COLUMNS[0], ("Bytes", count_cell("bytes"), True), INPUT_COLUMNS[1]]
 
 
 def _value(value: Any) -> str:
@@ -274,7 +245,7 @@ def _species(rows: Sequence[Row]) -> str:
         f'<span style="background:{escape(row["colour"])};flex:{row["plants"]}" title="{escape(row["label"])}"></span>'
         for row in rows
     )
-    return f'<div class="band">{band}</div>\n' + _table(rows, SPECIES_COLUMNS)
+    return f'<div class="band">{band}</div>\n' + table(rows, SPECIES_COLUMNS)
 
 
 def _config(config: Row) -> str:

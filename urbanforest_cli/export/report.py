@@ -10,7 +10,8 @@ import pandas as pd
 
 from urbanforest_cli.core.colours import zone_colour
 from urbanforest_cli.core.schema import SKIP_REASONS
-from urbanforest_cli.export.map_layers import RegisterTables, SpeciesStyle
+from urbanforest_cli.export.growth_report import sum_up_growth
+from urbanforest_cli.export.map_layers import RegisterTables, SpeciesStyle, shown_radius_m
 
 SQUARE_METRES_A_HECTARE = 10_000.0
 EXAMPLES_SHOWN = 5
@@ -27,11 +28,12 @@ def build_report(
     stages: Sequence[Mapping[str, Any]],
     config: Mapping[str, Any],
     zone_colours: Mapping[str, str] | None = None,
+    growth: Mapping[str, Any] | None = None,
 ) -> Row:
     """Sum up a planted city.
 
     Areas are in hectares. The crown share of a zone is the sum of its crowns' circles over the area of its lots:
-    where crowns overlap, both count.
+    where crowns overlap, both count. Crowns are those that grew, or the plants' envelopes where nothing has grown.
 
     Parameters
     ----------
@@ -49,9 +51,11 @@ def build_report(
         The config in force.
     zone_colours
         Fills the config chooses.
+    growth
+        ``counts`` and ``config`` of the stage that grew the plants, where they have grown.
     """
     plants = tables.plants.assign(
-        crown_m2=np.pi * tables.plants["envelope_radius_m"].to_numpy(dtype=float) ** 2,
+        crown_m2=np.pi * shown_radius_m(tables.plants, tables.trees) ** 2,
         is_tree=(tables.plants["habit"] == "tree").to_numpy(dtype=bool),
     )
     a_lot = pd.DataFrame({
@@ -69,6 +73,7 @@ def build_report(
         "zones": _zones(lots, zone_colours or {}),
         "strategies": _strategies(lots, tables.placements),
         "species": _species(plants, species),
+        "growth": None if tables.trees is None else sum_up_growth(tables.trees, species, **(growth or {})),
         "skipped": _skipped(tables.skipped),
         "stages": [dict(stage) for stage in stages],
         "warnings": [

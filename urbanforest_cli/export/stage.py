@@ -29,7 +29,14 @@ from urbanforest_cli.core.schema import LAYERS
 from urbanforest_cli.core.summary import StageSummary
 from urbanforest_cli.export.drawing import Bounds
 from urbanforest_cli.export.lot_pictures import draw_lots, typical_pictures
-from urbanforest_cli.export.map_layers import MapLayers, RegisterTables, SpeciesStyle, ZoneStyle
+from urbanforest_cli.export.map_layers import (
+    MapLayers,
+    RegisterTables,
+    SpeciesStyle,
+    ZoneStyle,
+    not_grown,
+    shown_radius_m,
+)
 from urbanforest_cli.export.map_picture import draw_map
 from urbanforest_cli.export.page import render_html
 from urbanforest_cli.export.png import for_page, png_of
@@ -47,6 +54,7 @@ WGS84 = CRS.from_epsg(4326)
 LOTS_PX = 2000
 STEPS = len(OUTPUTS)
 BUILDINGS, ROADS = "buildings", "roads"
+GROWN_SIZES = ("height_m", "crown_radius_m", "crown_base_m", "dbh_m")
 UNKNOWN_HEIGHT_M = 6.0
 LARGEST_M = 1000.0
 NOTHING = np.empty(0, dtype=object)
@@ -71,7 +79,8 @@ def export_outputs(
 ) -> StageSummary:
     """Write plants.geojson, map.png, report.html and report.json.
 
-    Reads layers lots, active_areas, parameters, plants, placements and skipped, and the city's buildings and roads.
+    Reads layers lots, active_areas, parameters, plants, placements and skipped, trees where these very plants have
+    grown, and the city's buildings and roads.
     The report comes last and names the others with their hashes. Where SOURCE_DATE_EPOCH is set, it tells of the
     stages what the register remembers, not how long they took, so that equal content is equal bytes.
 
@@ -124,7 +133,7 @@ def export_outputs(
     write_text(out / REPORT, json.dumps(report, indent=1, ensure_ascii=True, allow_nan=False) + "\n")
     progress("export", STEPS, STEPS)
     counts: dict[str, int | float | str] = {"plants": len(planted.layers.plant_xy), "files": len(OUTPUTS)}
-    return StageSummary("export", out, counts=counts, seconds=time.perf_counter() - started)
+    return StageSummary("export", out, counts, planted.notices, time.perf_counter() - started)
 
 
 @dataclass(frozen=True)
@@ -138,6 +147,7 @@ class _Planted:
     degrees: NDArray[np.float64]
     crs: CRS
     working: CRS
+    notices: Notices
 
 
 def _read(register: Path, config: Config, city: Path | None, assume_crs: str | None) -> _Planted:
@@ -147,12 +157,14 @@ def _read(register: Path, config: Config, city: Path | None, assume_crs: str | N
     areas = read_layer(register, "active_areas", columns=["lot_id"])
     crs = CRS.from_user_input(lots.crs)
     names = set(layer_names(register))
+    notices = Notices()
     tables = RegisterTables(
         lots=pd.DataFrame(lots.drop(columns="geometry")),
         parameters=read_layer(register, "parameters", geometry=False, columns=["lot_id", "strategy", "radius_mean_m"]),
         plants=pd.DataFrame(plants.drop(columns="geometry")),
         placements=read_layer(register, "placements", geometry=False),
         skipped=read_layer(register, "skipped", geometry=False) if "skipped" in names else _empty("skipped"),
+        trees=_trees(register, plants["plant_id"], notices),
     )
     file_xy = shapely.get_coordinates(plants.geometry.to_numpy())
     del plants
@@ -165,7 +177,7 @@ def _read(register: Path, config: Config, city: Path | None, assume_crs: str | N
         lot_zone=np.asarray(zone_code, dtype=np.int64),
         zones=[ZoneStyle(str(name), zone_colour(str(name), colours)) for name in zone_names],
         plant_xy=reproject_xy(file_xy, crs, working),
-        plant_radius_m=tables.plants["envelope_radius_m"].to_numpy(dtype=float),
+        plant_radius_m=shown_radius_m(tables.plants, tables.trees),
         plant_species=code,
         species=styles,
         buildings=buildings,
@@ -183,7 +195,23 @@ def _read(register: Path, config: Config, city: Path | None, assume_crs: str | N
         degrees=reproject_xy(file_xy, crs, WGS84),
         crs=crs,
         working=working,
+        notices=notices,
     )
+
+
+def _trees(register: Path, plant_ids: pd.Series[Any], notices: Notices) -> pd.DataFrame | None:
+    """Read the layer of grown plants; None where it is not there or not that of the plants placed last."""
+    if "trees" not in layer_names(register):
+        return None
+    records = read_records(register)
+    grown = records.get("grow")
+    placed = {"name": "place", "sha256": records["place"].stage_key}
+    if grown is not None and placed in grown.inputs:
+        trees = read_layer(register, "trees", geometry=False)
+        if trees["plant_id"].tolist() == plant_ids.tolist():
+            return pd.DataFrame(trees)
+    notices.add("W_TREES_STALE", "layers of grown plants that are not those placed last, left out; run `grow` again")
+    return None
 
 
 def _empty(layer: str) -> pd.DataFrame:
@@ -239,6 +267,7 @@ def _drawable(frame: gpd.GeoDataFrame, working: CRS, column: str, default: float
 def _provenance(register: Path, planted: _Planted, key: str) -> dict[str, Any]:
     records = read_records(register)
     place = records["place"]
+    year = records["grow"].config.get("year") if planted.tables.trees is not None else None
     return {
         "program": "urbanforest",
         "program_version": __version__,
@@ -249,11 +278,17 @@ def _provenance(register: Path, planted: _Planted, key: str) -> dict[str, Any]:
         "register_crs": planted.crs.name,
         "inputs": records["stencil"].inputs if "stencil" in records else [],
         "plants": len(planted.degrees),
+        **({"year": year} if year is not None else {}),
     }
 
 
 def _write_geojson(path: Path, planted: _Planted, provenance: Mapping[str, Any]) -> None:
-    write_points(path, planted.degrees, planted.tables.plants, members={"provenance": dict(provenance)})
+    properties, trees = planted.tables.plants, planted.tables.trees
+    if trees is not None:
+        sizes = trees[list(GROWN_SIZES)].copy()
+        sizes.loc[not_grown(trees)] = np.nan
+        properties = pd.concat([properties, sizes, trees[["grown", "reason"]]], axis=1)
+    write_points(path, planted.degrees, properties, members={"provenance": dict(provenance)})
 
 
 def _map(planted: _Planted, provenance: Mapping[str, Any], config: Config, bbox: Bounds | None) -> Figure:
@@ -273,8 +308,12 @@ def _notes(planted: _Planted, provenance: Mapping[str, Any]) -> list[str]:
     code = planted.working.to_authority()
     crs = planted.working.name + (f" ({':'.join(code)})" if code else "")
     sources = ", ".join(f"{item['name']} ({item.get('sha256', '')[:12]})" for item in provenance["inputs"][:3])
+    crowns = "crowns are drawn at their true radius"
+    if planted.tables.trees is not None:
+        year = provenance.get("year")
+        crowns = "crowns are drawn as they grew" + (f", in year {year}" if year is not None else "")
     return [
-        f"{crs}; north is grid north; crowns are drawn at their true radius",
+        f"{crs}; north is grid north; {crowns}",
         f"urbanforest {__version__}, seed {provenance['seed']}" + (f", from {sources}" if sources else ""),
     ]
 
@@ -299,8 +338,10 @@ def _report(
         ]
     for stage in stages:
         stage.pop("output", None)
+    grown = read_records(register).get("grow") if planted.tables.trees is not None else None
     return build_report(
         planted.tables,
+        growth=None if grown is None else {"counts": grown.counts, "config": grown.config},
         title=planted.name,
         species=planted.layers.species,
         provenance=provenance,

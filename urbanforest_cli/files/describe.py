@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 from urbanforest_cli.core.errors import InputError
+from urbanforest_cli.files import skeletons
 from urbanforest_cli.files.geopackage import layer_names, refuse_foreign
 from urbanforest_cli.files.provenance import read_records
+from urbanforest_cli.files.skeleton_parts import named_parts, parts_folder
 
 HEAD_BYTES = 65536
 
@@ -22,15 +25,14 @@ def describe_output(path: Path) -> dict[str, object]:
     """
     if not path.is_file():
         raise InputError("no such file", where=path)
-    reader = {".gpkg": _register, ".geojson": _json, ".json": _json, ".png": _picture, ".html": _page}.get(
-        path.suffix.lower()
-    )
+    reader = READERS.get(path.suffix.lower())
     record = reader(path) if reader else None
     if record is None:
         raise InputError(
             "no provenance of urbanforest inside",
             where=path,
-            expected="a register, plants.geojson, report.json, report.html or map.png written by urbanforest",
+            expected="a register, skeletons (.parquet), plants.geojson, report.json, report.html or a picture "
+            "written by urbanforest",
         )
     return record
 
@@ -50,7 +52,21 @@ def _register(path: Path) -> dict[str, object]:
             "warnings": record.notices.as_records(),
             "register_version": row["register_version"],
         }
-    return {"file": path.name, "layers": layer_names(path), "stages": stages}
+    found: dict[str, object] = {"file": path.name, "layers": layer_names(path), "stages": stages}
+    if parts := named_parts(path):
+        found["skeletons"] = {
+            "folder": parts_folder(path).name,
+            "parts": len(parts),
+            "bytes": sum(part.bytes for part in parts.values()),
+            "missing_or_changed": sorted(
+                name for name, part in parts.items() if not part.is_in(parts_folder(path))
+            ),
+        }  # fmt: skip
+    return found
+
+
+def _skeletons(path: Path) -> dict[str, object]:
+    return skeletons.describe(path)
 
 
 def _json(path: Path) -> dict[str, object] | None:
@@ -81,3 +97,14 @@ def _page(path: Path) -> dict[str, object] | None:
         return None
     record = json.loads(text[start + len(marker) : text.index("</script>", start)])
     return {"file": path.name, **record}
+
+
+READERS: dict[str, Callable[[Path], dict[str, object] | None]] = {
+    ".gpkg": _register,
+    ".parquet": _skeletons,
+    ".geojson": _json,
+    ".json": _json,
+    ".png": _picture,
+    ".html": _page,
+}
+"""How each kind of file tells of itself, by its suffix."""

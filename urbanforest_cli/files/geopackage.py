@@ -49,6 +49,7 @@ def write_layers(
     *,
     fresh: bool = False,
     geometry_types: Mapping[str, str] | None = None,
+    drop: Sequence[str] = (),
 ) -> None:
     """Write layers into a GeoPackage; all others in it stay as they are.
 
@@ -63,6 +64,8 @@ def write_layers(
         Start from an empty file.
     geometry_types
         Geometry type of layers that are not the register's own, whatever their names; these are not checked.
+    drop
+        Layers to remove, where they are there: what was made from layers that are written anew.
     """  # fmt: skip
     refuse_sidecars(path)
     for name, frame in frames.items():
@@ -77,6 +80,10 @@ def write_layers(
     with publish(path, verify=verify) as part:
         if not fresh and path.exists():
             shutil.copyfile(path, part)
+            try:
+                _drop_layers(part, drop)
+            except sqlite3.Error as error:
+                raise _write_error(path, error) from error
         for name, frame in frames.items():
             try:
                 _write_layer(part, name, frame, types.get(name))
@@ -103,6 +110,21 @@ def _write_layer(part: Path, name: str, frame: pd.DataFrame, geometry_type: str 
         options |= {"geometry_type": geometry_type, "promote_to_multi": (geometry_type or "").startswith("Multi")}
         options["layer_options"] = {"GEOMETRY_NAME": "geom"}
     pyogrio.write_dataframe(frame, part, use_arrow=True, **options)
+
+
+def _drop_layers(part: Path, names: Sequence[str]) -> None:
+    """Remove layers with all that a GeoPackage knows of them; styles that a user saved for them stay."""
+    with closing(sqlite3.connect(part)) as register, register:
+        tables = {row[0] for row in register.execute("SELECT name FROM sqlite_master WHERE type='table'")}
+        listing = ("gpkg_contents", "gpkg_geometry_columns", "gpkg_extensions", "gpkg_ogr_contents")
+        for name in tables & set(names):
+            for table in (f"rtree_{name}_geom", name):
+                if table in tables:
+                    quoted = '"' + table.replace('"', '""') + '"'
+                    register.execute(f"DROP TABLE {quoted}")
+            for table in listing:
+                if table in tables:
+                    register.execute(f"DELETE FROM {table} WHERE table_name = ?", (name,))
 
 
 def _write_error(path: Path, error: Exception) -> OutputError:

@@ -11,9 +11,10 @@ import re
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
+from xml.sax.saxutils import escape, quoteattr
 
 from urbanforest_cli.core import config as settings
 from urbanforest_cli.core.colours import mixed, species_colour, to_rgb, zone_colour
@@ -47,6 +48,14 @@ BEGIN UPDATE gpkg_ogr_contents SET feature_count = feature_count - 1
 WHERE lower(table_name) = lower('layer_styles'); END
 """,
 )
+
+TREE_TIP = (
+    '<b>[% "species" %]</b>, [% round("age_years") %] years<br>'
+    '[% round("height_m", 1) %] m high, crown [% round(2 * "crown_radius_m", 1) %] m wide, '
+    'stem [% round(100 * "dbh_m") %] cm<br>'
+    "[% \"grown\" %][% coalesce(': ' || \"reason\", '') %]"
+)
+"""What QGIS shows of a grown plant under the mouse."""
 
 Category = tuple[str, str, str]
 """Value, label and colour."""
@@ -150,6 +159,23 @@ def _active_areas_style(register: sqlite3.Connection, config: Mapping[str, Any])
 
 
 def _plants_style(register: sqlite3.Connection, config: Mapping[str, Any]) -> str:
+    categories = _species_categories(register, config, "plants")
+    symbol = partial(_crown_symbol, radius="envelope_radius_m")
+    return _qml("species", categories, symbol, rest=("#6f8f5f", "any other species"))
+
+
+def _trees_style(register: sqlite3.Connection, config: Mapping[str, Any]) -> str:
+    """Crowns as they grew, low ones under high ones; what died or did not grow has none."""
+    categories = _species_categories(register, config, "trees")
+    symbol = partial(_crown_symbol, radius="crown_radius_m")
+    return _qml("species", categories, symbol, rest=("#6f8f5f", "any other species"), order_by="height_m", tip=TREE_TIP)
+
+
+def _buildings_style(register: sqlite3.Connection, config: Mapping[str, Any]) -> str:
+    return _qml("building_id", [], _building_symbol, rest=("#d9d5cc", "buildings"))
+
+
+def _species_categories(register: sqlite3.Connection, config: Mapping[str, Any], layer: str) -> list[Category]:
     try:
         table = config.get("species") or {}
         catalogue = load_catalogue(settings.Species(folder=table.get("folder")))
@@ -158,24 +184,40 @@ def _plants_style(register: sqlite3.Connection, config: Mapping[str, Any]) -> st
     known = {item.id: item for item in catalogue}
     colours = {item.id: item.colour for item in catalogue}
     categories = []
-    for name in dict.fromkeys([*known, *_values(register, "plants", "species")]):
+    for name in dict.fromkeys([*known, *_values(register, layer, "species")]):
         label = f"{known[name].scientific_name} ({known[name].common_name})" if name in known else name
         categories.append((name, label, species_colour(name, colours)))
-    return _qml("species", categories, _crown_symbol, rest=("#6f8f5f", "any other species"))
+    return categories
 
 
 _STYLES: dict[str, tuple[str, Callable[[sqlite3.Connection, Mapping[str, Any]], str]]] = {
     "lots": ("zone", _lots_style),
     "active_areas": ("kind", _active_areas_style),
     "plants": ("species", _plants_style),
+    "trees": ("crown_radius_m", _trees_style),
+    "buildings": ("building_id", _buildings_style),
 }
-"""For each layer the column its colours go by, and what makes its style."""
+"""For each layer the column without which it cannot be styled, and what makes its style."""
 
 
 def _qml(
-    column: str, categories: Sequence[Category], symbol: Callable[[str, str], str], *, rest: tuple[str, str]
+    column: str,
+    categories: Sequence[Category],
+    symbol: Callable[[str, str], str],
+    *,
+    rest: tuple[str, str],
+    order_by: str | None = None,
+    tip: str | None = None,
 ) -> str:
-    """Return a categorised style in QGIS' own XML; values outside the categories get the look of `rest`."""
+    """Return a categorised style in QGIS' own XML; values outside the categories get the look of `rest`.
+
+    Parameters
+    ----------
+    order_by
+        Column by which features are drawn, those with small values first.
+    tip
+        HTML of the map tip, with expressions of QGIS in it.
+    """
     rows = [*(item for item in categories if not _NOT_XML.search(item[0])), ("", rest[1], rest[0])]
     listed = "\n".join(
         f'      <category render="true" symbol="{number}" type="string" value={quoteattr(value)} '
@@ -183,16 +225,25 @@ def _qml(
         for number, (value, label, _) in enumerate(rows)
     )
     symbols = "\n".join(symbol(str(number), colour) for number, (_, _, colour) in enumerate(rows))
+    order = (
+        f'\n    <orderby>\n      <orderByClause asc="1" nullsFirst="1">&quot;{order_by}&quot;</orderByClause>\n'
+        "    </orderby>"
+        if order_by
+        else ""
+    )
+    ordered = int(order_by is not None)
+    map_tip = f'\n  <mapTip enabled="1">{escape(tip)}</mapTip>' if tip else ""
+    parts = "Symbology|MapTips" if tip else "Symbology"
     return f"""<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
-<qgis version="3.22.0" styleCategories="Symbology" symbologyReferenceScale="-1">
-  <renderer-v2 type="categorizedSymbol" attr="{column}" forceraster="0" symbollevels="0" enableorderby="0">
+<qgis version="3.22.0" styleCategories="{parts}" symbologyReferenceScale="-1">
+  <renderer-v2 type="categorizedSymbol" attr="{column}" forceraster="0" symbollevels="0" enableorderby="{ordered}">
     <categories>
 {listed}
     </categories>
     <symbols>
 {symbols}
-    </symbols>
-  </renderer-v2>
+    </symbols>{order}
+  </renderer-v2>{map_tip}
 </qgis>
 """
 
@@ -237,8 +288,16 @@ def _area_symbol(name: str, colour: str) -> str:
     return _symbol(name, "fill", "SimpleFill", options)
 
 
-def _crown_symbol(name: str, colour: str) -> str:
-    """A circle as wide on the ground as the plant's envelope, whatever the unit of the layer's CRS."""
+def _building_symbol(name: str, colour: str) -> str:
+    options = {
+        "color": _rgba(colour), "style": "solid", "outline_color": _rgba(mixed(colour, "#4a463e", 0.6)),
+        "outline_style": "solid", "outline_width": "0.2", "outline_width_unit": "MM", "joinstyle": "miter",
+    }  # fmt: skip
+    return _symbol(name, "fill", "SimpleFill", options)
+
+
+def _crown_symbol(name: str, colour: str, *, radius: str) -> str:
+    """A circle as wide on the ground as a column says, in metres, whatever the unit of the layer's CRS."""
     options = {
         "name": "circle", "color": _rgba(colour, 0.85), "outline_color": _rgba(mixed(colour, "#000000", 0.4), 0.9),
         "outline_style": "solid", "outline_width": "0.1", "outline_width_unit": "MM", "scale_method": "diameter",
@@ -251,12 +310,12 @@ def _crown_symbol(name: str, colour: str) -> str:
               <Option type="Map" name="properties">
                 <Option type="Map" name="size">
                   <Option type="bool" name="active" value="true"/>
-                  <Option type="QString" name="expression" value="2 * &quot;envelope_radius_m&quot;"/>
+                  <Option type="QString" name="expression" value="2 * &quot;@RADIUS@&quot;"/>
                   <Option type="int" name="type" value="3"/>
                 </Option>
               </Option>
               <Option type="QString" name="type" value="collection"/>
             </Option>
           </data_defined_properties>
-"""
+""".replace("@RADIUS@", radius)
     return _symbol(name, "marker", "SimpleMarker", options, properties)

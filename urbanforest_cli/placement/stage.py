@@ -26,7 +26,7 @@ from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.params import PARAMETERS, plugin_prints
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.randomness import keys_for
-from urbanforest_cli.core.schema import SKIP_REASONS
+from urbanforest_cli.core.schema import GROW_LAYERS, SKIP_REASONS
 from urbanforest_cli.core.species import Catalogue
 from urbanforest_cli.core.summary import StageSummary
 from urbanforest_cli.files.geopackage import layer_names, read_layer, write_layers
@@ -51,10 +51,14 @@ LOTS_A_BATCH = 4096
 
 def place_key(before: str, *, config: Config, seed: int, catalogue: Catalogue) -> str:
     """Return the hash of all that decides this stage's result, `before` being the key of the stage before it."""
-    species = json.dumps([asdict(kind) for kind in catalogue], sort_keys=True)
+    species = json.dumps([_without_growth(asdict(kind)) for kind in catalogue], sort_keys=True)
     return stage_key(
         STAGE, config=config, seed=seed, inputs=[before, species, *plugin_prints()], sections=("placement", "species")
     )
+
+
+def _without_growth(kind: dict[str, object]) -> dict[str, object]:
+    return {name: value for name, value in kind.items() if name not in ("growth", "open_grown")}
 
 
 def place_plants(
@@ -136,6 +140,7 @@ def place_plants(
             "skipped": skipped,
             "provenance": provenance_frame(register, record, drop=("grow",)),
         },
+        drop=GROW_LAYERS,
     )
     return StageSummary(STAGE, register, counts, notices, time.perf_counter() - started)
 

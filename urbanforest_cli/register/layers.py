@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import geopandas as gpd
@@ -21,6 +22,7 @@ from urbanforest_cli.register.rules import Entrances, locate_entrances, road_cor
 from urbanforest_cli.register.streets import Roads
 
 WIDEST_ROAD_M = 200.0
+TALLEST_BUILDING_M = 1000.0
 ROAD_ID_COLUMNS = ("road_id", "osm_id", "id")
 
 Shapes = NDArray[Any]
@@ -132,24 +134,63 @@ def numbers(frame: pd.DataFrame, name: str) -> NDArray[np.float64]:
     return np.where(np.isfinite(values), values, np.nan)
 
 
+@dataclass(frozen=True)
+class Buildings:
+    """A city's buildings that can be used: ids as text, valid polygons in metres, heights (NaN where unknown)."""
+
+    ids: NDArray[np.object_] = field(default_factory=lambda: np.empty(0, dtype=object))
+    shapes: Shapes = field(default_factory=lambda: np.empty(0, dtype=object))
+    height_m: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+
+def buildings_of(frame: gpd.GeoDataFrame | None, project: Project, notices: Notices) -> Buildings:
+    """Return a city's buildings, cleaned; those that are no polygons are left out and counted."""
+    if frame is None:
+        return Buildings()
+    shapes = polygons_in_metres(frame, "buildings", project, notices)
+    there = ~shapely.is_missing(shapes)
+    names = {str(name).strip().casefold(): name for name in reversed(frame.columns)}
+    heights = np.full(len(frame), np.nan)
+    if "height_m" in names:
+        stated = frame[names["height_m"]]
+        heights = numbers(frame, names["height_m"])
+        wrong = stated.notna().to_numpy() & ~((heights > 0) & (heights <= TALLEST_BUILDING_M))
+        heights[wrong] = np.nan
+        notices.add(
+            "W_BUILDING_HEIGHT",
+            f"buildings whose height is no number from 0 to {TALLEST_BUILDING_M:g} m, taken as unknown",
+            int(wrong.sum()),
+            [f"row {row}: {stated[row]!r}" for row in frame.index[wrong][:5]],
+        )
+    ids = as_text(pd.Series(frame.index))
+    if "building_id" in names:
+        own = as_text(frame[names["building_id"]])
+        ids = np.where(own == None, ids, own)  # noqa: E711
+    return Buildings(ids[there], shapes[there], heights[there])
+
+
 def surroundings_of(
-    layers: Mapping[str, gpd.GeoDataFrame], roads: Roads, project: Project, rules: Rules, notices: Notices
+    layers: Mapping[str, gpd.GeoDataFrame],
+    buildings: Shapes,
+    roads: Roads,
+    project: Project,
+    rules: Rules,
+    notices: Notices,
 ) -> Surroundings:
     """Return all that plants keep away from.
 
     Parameters
     ----------
     layers
-        Those of ``buildings``, ``driveways``, ``entrances`` and ``obstacles`` that the city has.
+        Those of ``driveways``, ``entrances`` and ``obstacles`` that the city has.
+    buildings
+        Shapes as `buildings_of` returns them.
     roads
         As `roads_of` returns them.
     """
     nothing = np.empty(0, dtype=object)
-    buildings = driveways = obstacles = nothing
+    driveways = obstacles = nothing
     kinds, clearance = nothing, np.empty(0)
-    if "buildings" in layers:
-        buildings = polygons_in_metres(layers["buildings"], "buildings", project, notices)
-        buildings = buildings[~shapely.is_missing(buildings)]
     if "driveways" in layers:
         driveways, _ = lines_of(shapes_in_metres(layers["driveways"], "driveways", project, notices))
     if "obstacles" in layers:

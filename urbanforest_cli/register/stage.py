@@ -31,6 +31,8 @@ from urbanforest_cli.files.vectors import list_vector_layers, read_vector
 from urbanforest_cli.register.envelope_kernel import KERNELS
 from urbanforest_cli.register.layers import (
     LOT_COLUMNS,
+    Buildings,
+    buildings_of,
     plain_columns,
     roads_of,
     surroundings_of,
@@ -115,8 +117,8 @@ def stencil_city(
 
     Reads layer ``lots`` (or the only polygon layer of a file without one) and, where they are, ``buildings``,
     ``roads``, ``driveways``, ``entrances``, ``obstacles`` and ``sketches``. Writes a fresh register with ``lots``,
-    ``active_areas``, ``parameters``, ``skipped`` and ``provenance``, in the CRS of the lots. Every row of ``lots``
-    is either in ``active_areas`` or, with a reason, in ``skipped``.
+    ``active_areas``, ``parameters``, ``buildings``, ``skipped`` and ``provenance``, in the CRS of the lots. Every row
+    of ``lots`` is either in ``active_areas`` or, with a reason, in ``skipped``; buildings outside all lots are kept.
 
     Raises
     ------
@@ -144,7 +146,8 @@ def stencil_city(
     roads = Roads(np.empty(0, object), np.empty(0), np.empty(0, object))
     if "roads" in layers:
         roads = roads_of(layers["roads"], lots.project, config.rules, notices)
-    around = surroundings_of(layers, roads, lots.project, config.rules, notices)
+    buildings = buildings_of(layers.get("buildings"), lots.project, notices)
+    around = surroundings_of(layers, buildings.shapes, roads, lots.project, config.rules, notices)
     around_counts = {name: len(layers[name]) for name in KINDS if name in layers and name != "sketches"}
     layers = {name: found for name, found in layers.items() if name == "sketches"}
     _note_what_is_missing(around_counts, lots.zones, config, notices, city)
@@ -175,7 +178,7 @@ def stencil_city(
         counts=dict(summary.counts),
         notices=notices,
     )
-    tables = _tables(attributes, whole, ground, skipped, lots)
+    tables = _tables(attributes, whole, ground, skipped, buildings, lots)
     write_layers(register, {**tables, "provenance": pd.DataFrame([record.as_row()])}, fresh=True)
     progress("writing the register", 1, 1)
     summary.seconds = time.perf_counter() - started
@@ -275,7 +278,7 @@ def _counts(
 
 
 def _tables(
-    attributes: pd.DataFrame, whole: Units, ground: Ground, skipped: pd.DataFrame, lots: Lots
+    attributes: pd.DataFrame, whole: Units, ground: Ground, skipped: pd.DataFrame, buildings: Buildings, lots: Lots
 ) -> dict[str, pd.DataFrame]:
     areas = ground.areas
     there = ~shapely.is_missing(areas)
@@ -300,4 +303,15 @@ def _tables(
         crs=lots.crs,
     )
     parameters = with_resolved(whole.parameters)[~shapely.is_missing(whole.shapes)]
-    return {"lots": register_lots, "active_areas": active, "parameters": parameters, "skipped": skipped}
+    built = gpd.GeoDataFrame(
+        {"building_id": buildings.ids, "height_m": buildings.height_m},
+        geometry=lots.back(buildings.shapes),
+        crs=lots.crs,
+    )
+    return {
+        "lots": register_lots,
+        "active_areas": active,
+        "parameters": parameters,
+        "buildings": built,
+        "skipped": skipped,
+    }

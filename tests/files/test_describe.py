@@ -1,0 +1,58 @@
+import numpy as np
+import pandas as pd
+import pytest
+from pyproj import CRS
+
+from urbanforest_cli.core.errors import InputError
+from urbanforest_cli.core.skeleton import Skeletons
+from urbanforest_cli.files.describe import describe_output
+from urbanforest_cli.files.geopackage import write_layers
+from urbanforest_cli.files.provenance import Record
+from urbanforest_cli.files.skeleton_parts import hash_of, part_name
+from urbanforest_cli.files.skeletons import write_part
+
+PART = part_name("0" * 24)
+
+
+@pytest.fixture
+def register(tmp_path):
+    """A register that names one part with a pole of two internodes."""
+    part = tmp_path / "skeletons" / PART
+    pole = Skeletons(
+        skeleton_id=np.array([5]), first=np.array([0, 3]), seasons=np.array([2], np.int32),
+        tip_radius_m=np.array([0.01]), pipe_exponent=np.array([2.0]), parent=np.array([-1, 0, 1], np.int32),
+        xyz_m=np.array([[0, 0, 0], [0, 0, 1], [0, 0, 2]], np.float32), order=np.zeros(3, np.uint8),
+        birth_season=np.array([0, 1, 2], np.uint8), death_season=np.zeros(3, np.uint8),
+    )  # fmt: skip
+    write_part(part, [pole], {"stage": "grow", "seed": 3, "plants": {"skeleton_id": [5]}})
+    files = pd.DataFrame({"part": [PART], "sha256": [hash_of(part)], "bytes": [part.stat().st_size],
+                          "skeleton_count": [1], "internode_count": [2]})  # fmt: skip
+    record = Record("grow", 3, "k", CRS.from_epsg(32633), {}, [], counts={"plants": 1, "unique": 1})
+    path = tmp_path / "register.gpkg"
+    write_layers(path, {"skeleton_parts": files, "provenance": pd.DataFrame([record.as_row()])}, fresh=True)
+    return path
+
+
+def test_a_register_tells_of_its_skeletons_and_whether_they_are_there(register):
+    record = describe_output(register)
+    part = register.parent / "skeletons" / PART
+    assert record["stages"]["grow"]["counts"] == {"plants": 1, "unique": 1}
+    assert record["skeletons"] == {
+        "folder": "skeletons", "parts": 1, "bytes": part.stat().st_size, "missing_or_changed": [],
+    }  # fmt: skip
+    part.unlink()
+    assert describe_output(register)["skeletons"]["missing_or_changed"] == [PART]
+
+
+def test_a_part_tells_what_it_holds(register):
+    record = describe_output(register.parent / "skeletons" / PART)
+    assert (record["skeletons"], record["internodes"], record["seasons"]) == (1, 2, 2)
+    assert record["provenance"] == {"stage": "grow", "seed": 3}
+    assert "parent = node - parent_back" in record["how_to_read"]
+
+
+def test_a_file_of_another_kind_is_told_what_is_expected(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("mine")
+    with pytest.raises(InputError, match="skeletons"):
+        describe_output(path)
