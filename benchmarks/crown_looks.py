@@ -38,10 +38,10 @@ class Looks:
 
 def looks_at(skeletons: Skeletons, age: int) -> Looks:
     """Look at plants at an age; where nothing stands, everything is 0."""
-    ends = np.full(len(skeletons), age, np.int64)
-    there = standing(skeletons, ends)
-    twig = there & (pipe_count(skeletons, ends) <= TWIG_PIPES)
-    sizes = measure(skeletons, ends)
+    season = np.full(len(skeletons), age, np.int64)
+    there = standing(skeletons, season)
+    twig = there & (pipe_count(skeletons, season) <= TWIG_PIPES)
+    sizes = measure(skeletons, season)
     found = np.zeros((3, len(skeletons)))
     for s in range(len(skeletons)):
         own = slice(skeletons.first[s] + 1, skeletons.first[s + 1])
@@ -49,7 +49,9 @@ def looks_at(skeletons: Skeletons, age: int) -> Looks:
         height_m, radius_m = float(sizes["height_m"][s]), float(sizes["crown_radius_m"][s])
         if height_m < 0.5 or radius_m < 0.1:
             continue
-        found[0, s] = cover(points[twig[own]], height_m)
+        ends = twig[own]
+        starts = skeletons.xyz_m[skeletons.first[s] + skeletons.parent[own][ends]]
+        found[0, s] = cover(np.vstack((points[ends], 0.5 * (points[ends] + starts))), height_m)
         found[1, s] = sector_radius(points[there[own] & (points[:, 2] >= TOP_SHARE * height_m)]) / radius_m
         trunk = points[there[own] & (skeletons.order[own] == 0)]
         foot = trunk[np.argmin(np.abs(trunk[:, 2] - height_m / 3))]
@@ -84,7 +86,7 @@ def cover(twigs: Reals, height_m: float) -> float:
         inside = (np.column_stack((x.ravel(), z.ravel())) @ normals.T <= (flat @ normals.T).max(axis=0)).all(axis=1)
         at = (np.floor(flat) - start).astype(int)
         covered = np.bincount(at[:, 0] * size[1] + at[:, 1], minlength=len(inside)) > 0
-        shares.append(covered[inside].mean())
+        shares.append(covered[inside].sum() / max(inside.sum(), 1))
     return float(np.mean(shares))
 
 

@@ -17,6 +17,7 @@ from tests.reference.growth_space import (
     Room,
     Shade,
     Solids,
+    canopy_cell,
     mixed,
     stored,
     stored_point,
@@ -30,6 +31,7 @@ APICAL_NUMBER, RESERVE_NUMBER = 14, 15
 NEIGHBOUR_RADIUS_M = 0.6
 LEAST_HALF_M = 0.25  # of a pruning volume: a whip is no crown
 NURSERY_SEASONS, NURSERY_LIGHT = 3, 0.6  # a young plant lives on what it brought from the nursery
+LIMB_SHARE = 0.3  # a branch that bears this share of a plant is its crown
 
 
 @dataclass(eq=False)
@@ -165,7 +167,7 @@ class SlowGrove:
         self.plants = sorted(self.given, key=lambda plant: plant.key)
         self.living: list[Node] = []  # parents first
         self.buds: list[Bud] = []
-        self.neighbours: list[Point] = []
+        self.neighbours: list[tuple[Point, int]] = []  # leafy points of other groves, with internodes
 
     def _plant(self, grove: Grove, row: int, traits: TraitsTable) -> Plant:
         age = float(grove.age_years[row])
@@ -175,7 +177,7 @@ class SlowGrove:
         species = int(grove.species[row])
         return Plant(
             key=int(grove.keys[row]), place=stored_point((x, y, 0.0)), species=species, traits=traits[species],
-            seasons=seasons, first_year=min(max(age - (seasons - 1), 0.05), 1.0),
+            seasons=seasons, first_year=min(max(age - (seasons - 1), 0.25), 1.0),
             pruning_factor=float(grove.pruning_factor[row]), clearance=float(grove.clearance_m[row]),
             azimuth=float(grove.row_azimuth_rad[row]), cut_in=cut if grove.pruning_factor[row] < 1 else 0,
         )  # fmt: skip
@@ -209,7 +211,7 @@ class SlowGrove:
         ):  # fmt: skip
             inside = all(0 <= value < size for value, size in zip(point, self.around.size_m, strict=True))
             if when == season and inside:
-                self.neighbours.append(tuple(point))
+                self.neighbours.append((tuple(point), int(internodes + 0.5)))
                 self.shade.cast(self.shade.voxel(tuple(point)), -1, int(internodes + 0.5))
                 self.room.take(tuple(point), NEIGHBOUR_RADIUS_M)
 
@@ -258,13 +260,14 @@ class SlowGrove:
     # light
 
     def sense(self) -> None:
+        canopy = self.shade.canopy([(node.place, node.plant.species) for node in self.living], self.neighbours)
         for bud in self.buds:
             plant = bud.node.plant
             if plant.years == 0:
                 continue
             light = self.shade.light(bud.node.voxel, plant.species) if self.senses_shade else 1.0
             if self.senses_shade:
-                light *= self.solids.sky_seen(bud.node.place)
+                light *= self.solids.sky_seen(bud.node.place) * canopy.get(canopy_cell(bud.node.place), 1.0)
                 light = max(light, NURSERY_LIGHT) if plant.season <= NURSERY_SEASONS else light
             bud.light = stored(light)
         if not self.senses_shade:  # then light is whether a bud has room
@@ -483,21 +486,26 @@ class SlowGrove:
             if plant.dark_seasons >= 3:
                 plant.outcome, plant.death = 1, plant.season
                 falls[root] = "shed"
+        trunk_top = dict.fromkeys(self.plants, 0.0)  # of what lives of it
+        for node in self.living:
+            if node.order == 0:
+                trunk_top[node.plant] = max(trunk_top[node.plant], node.place[2])
         for node in self.living:
             plant, traits, parent = node.plant, node.plant.traits, node.parent
             if parent is None:
                 continue
+            height = min(plant.height, trunk_top[plant])
             if parent in falls:
                 falls[node] = falls[parent]
             elif node.leads or plant.years == 0 or plant.season - node.birth < 2:
                 continue
             elif node.light < traits["shed_light"] * node.above:
                 falls[node] = "shed"
-            elif node.order == 0 or 2 * node.above >= plant.root.above:  # what bears half the plant is the crown
+            elif node.order == 0 or node.above >= LIMB_SHARE * plant.root.above:
                 continue
-            elif parent.place[2] < min(traits["clear_stem_m"], 0.3 * plant.height):
+            elif parent.place[2] < min(traits["clear_stem_m"], 0.3 * height):
                 falls[node] = "shed"
-            elif parent.place[2] < min(plant.clearance, 0.45 * plant.height):
+            elif parent.place[2] < min(plant.clearance, 0.45 * height):
                 falls[node] = "pruned"
         self.let_fall(falls)
 
@@ -556,7 +564,7 @@ class SlowGrove:
                     self.room.release(node.place, self.taking_radius(plant))
         for node in self.living:
             self.room.take(node.place, self.taking_radius(node.plant))
-        for point in self.neighbours:
+        for point, _ in self.neighbours:
             self.room.take(point, NEIGHBOUR_RADIUS_M)
 
     def wake_reserves(self, cut: list[Plant]) -> None:

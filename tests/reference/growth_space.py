@@ -12,6 +12,8 @@ from urbanforest_cli.growth.grove import COLUMN_M, SKY_CELL_M, Surroundings, Tra
 FULL_LIGHT = 4096  # shade counts in whole parts of it
 MARKERS_SEEN_MAX = 512
 ALL_BITS = 2**64 - 1
+CANOPY_M = 2.0  # edge of the cells in which a canopy's leaves are summed
+LEAF_M2 = 1.5  # leaf area of an internode for each 1 of its leaf_shade
 
 Point = tuple[float, float, float]
 Cell = tuple[int, int, int]
@@ -35,6 +37,10 @@ def mixed(z: int) -> int:
 
 def uniform(bits: int) -> float:
     return (bits >> 11) * 2.0**-53
+
+
+def canopy_cell(point: Point) -> Cell:
+    return (int(point[0] / CANOPY_M), int(point[1] / CANOPY_M), int(point[2] / CANOPY_M))
 
 
 class Solids:
@@ -91,6 +97,34 @@ class Shade:
         shade = self.shade.get(voxel, 0) - self.cast_in_layer[species][0]
         return max(1.0 - max(shade, 0) / FULL_LIGHT, 0.0)
 
+    def canopy(self, leafy: list[tuple[Point, int]], others: list[tuple[Point, int]]) -> dict[Cell, float]:
+        """Return the light in each cell under leaves, near or high, by Beer and Lambert.
+
+        From the top down each cell has over it the mean of the nine next higher ones, their own leaves and all above.
+
+        Parameters
+        ----------
+        leafy, others
+            Where internodes are, with their species; leafy points of other groves, with the internodes each counts for.
+        """
+        leaves: dict[Cell, float] = {}
+        for point, species in leafy:
+            cell = canopy_cell(point)
+            leaves[cell] = leaves.get(cell, 0.0) + self.cast_in_layer[species][0]
+        for point, internodes in others:
+            cell = canopy_cell(point)
+            leaves[cell] = leaves.get(cell, 0.0) + internodes * self.cast_in_layer[-1][0]
+        nx, ny = (int(size / CANOPY_M) + 1 for size in self.around.size_m[:2].tolist())
+        light: dict[Cell, float] = {}
+        for z in range(max(cell[2] for cell in leaves) - 1, -1, -1):
+            for x, y in [(x, y) for x in range(nx) for y in range(ny)]:
+                rows = [[leaves.get((i, j, z + 1), 0.0) for i in (x - 1, x, x + 1)] for j in (y - 1, y, y + 1)]
+                over = sum(sum(row) for row in rows)
+                if over > 0:
+                    light[x, y, z] = math.exp(-LEAF_M2 / (FULL_LIGHT * CANOPY_M * CANOPY_M * 9) * over)
+                    leaves[x, y, z] = leaves.get((x, y, z), 0.0) + over / 9
+        return light
+
     def brightest(self, voxel: Cell, eye: Point, facing: Point, solids: Solids) -> Point:
         """Return the mean direction of the light seen in the half space a bud faces, bright directions before dim."""
         total = [0.0, 0.0, 0.0]
@@ -103,7 +137,7 @@ class Shade:
                 light *= max(1.0 - self.shade.get((x, y, z), 0) / FULL_LIGHT, 0.05)
             if any(solids.holds(_along(eye, ray, 1.0 + 1.5 * k)) for k in range(8)):
                 light = 0.0
-            weight = (whole * light) ** 2
+            weight = whole * light * light
             total = [t + weight * r for t, r in zip(total, ray, strict=True)]
         length = math.hypot(*total)
         return (total[0] / length, total[1] / length, total[2] / length) if length > 0 else (0.0, 0.0, 0.0)

@@ -17,9 +17,10 @@ TREE = Traits(
     clear_stem_m=2.0, pipe_exponent=2.2, tip_radius_m=0.006, stem_count=1.0, stem_angle_deg=0.0,
 )  # fmt: skip
 SHRUB = replace(
-    TREE, internode_length_m=0.14, shoot_internodes_max=3.0, shoot_aging=0.88, apical_control_young=0.47,
-    apical_control_old=0.45, stem_count=6.0, stem_angle_deg=25.0, tip_radius_m=0.003, clear_stem_m=0.0,
-    pipe_exponent=2.3,
+    TREE, internode_length_m=0.20, shoot_internodes_max=2.2, shoot_aging=0.90, apical_control_young=0.47,
+    apical_control_old=0.45, vigour=4.0, vigour_max=1500.0, lateral_bud_death=0.08, phototropism=0.1,
+    gravitropism_branch=0.02, leaf_shade=0.03, shed_light=0.02, stem_count=6.0, stem_angle_deg=25.0, tip_radius_m=0.003,
+    clear_stem_m=0.0, pipe_exponent=2.3,
 )  # fmt: skip
 TREE_HEIGHT_M, SHRUB_HEIGHT_M = 18.0, 3.5  # mature heights that the traits above lead to
 

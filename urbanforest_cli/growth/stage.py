@@ -84,7 +84,7 @@ def grown_key(record: Record) -> str:
 
 def shows_year(record: Record, year: int | None) -> bool:
     """Tell whether a register's sizes are those of a year, given as to `show_year`."""
-    ago = int(record.config.get("years_ago", 0))
+    ago = record.config.get("years_ago", 0)
     if year is None or year < 0:
         return ago == -(year or 0)
     return bool(record.config.get("year", record.counts.get("last_year", -1)) == year)

@@ -18,6 +18,10 @@ BUD_RINGS = ((25.0, 8), (60.0, 8))
 SKY_RINGS = ((12.0, 24), (30.0, 24), (52.0, 16))
 """The same for the light that buildings leave."""
 
+BUD_SUN_SHARE = 0.5
+"""Of the sun's share of all light, its share of the blue light to which shoots bend (Briggs and Christie 2002): the
+sky is bluer than the sun. Without it open-grown crowns lean too far toward the equator."""
+
 ALL_YEAR_LATITUDE_DEG, SEASON_LATITUDE_DEG = 10.0, 25.0
 """Nearer to the equator than the first plants grow all year; farther than the second, in the summer half alone."""
 
@@ -27,9 +31,9 @@ Directions = NDArray[np.float64]
 class Light(NamedTuple):
     """Light of a place: x east, y north, z up.
 
-    `ray` (k, 3) and `ray_light` (k,) are what buds look for; `sky_ray` (m, 3) and `sky_light` (m,) the same light in
-    finer directions, for buildings to stand in; both sum to 1. `lean` (2,) is how far a shadow moves, away from the
-    sun, for each metre of depth.
+    `ray` (k, 3) and `ray_light` (k,) are what buds look for, less of it from the sun; `sky_ray` (m, 3) and `sky_light`
+    (m,) all light in finer directions, for buildings to stand in; both sum to 1. `lean` (2,) is how far a shadow moves,
+    away from the sun, for each metre of depth.
     """
 
     ray: NDArray[np.float32]
@@ -44,9 +48,12 @@ def light_from(latitude_deg: float, sun_share: float) -> Light:
     sun, beam = sun_path(latitude_deg)
     sky, radiance = overcast_sky()
     towards = np.concatenate((sun, sky))
-    light = np.concatenate((sun_share * beam, (1 - sun_share) * radiance))
-    ray, ray_light = gather_in_rings(towards, light, BUD_RINGS)
-    sky_ray, sky_light = gather_in_rings(towards, light, SKY_RINGS)
+
+    def all_light(share: float) -> NDArray[np.float64]:
+        return np.concatenate((share * beam, (1 - share) * radiance))
+
+    ray, ray_light = gather_in_rings(towards, all_light(BUD_SUN_SHARE * sun_share), BUD_RINGS)
+    sky_ray, sky_light = gather_in_rings(towards, all_light(sun_share), SKY_RINGS)
     lean = _lean(sun, beam, sun_share)
     return Light._make(values.astype(np.float32) for values in (ray, ray_light, sky_ray, sky_light, lean))
 
