@@ -109,10 +109,10 @@ WANTED = {
     "prunus_serrulata": Wanted(0.92, 0.48, (3500, 6500), 11.0),
     "quercus_rubra": Wanted(0.93, 0.38, (4500, 7500), 26.0),
     "tilia_cordata": Wanted(0.93, 0.32, (4500, 7500), 21.0),
-    "cornus_sanguinea": Wanted(0.85, 0.50, (1000, 2600), 3.9),
-    "corylus_avellana": Wanted(0.82, 0.45, (1400, 3000), 7.6),
-    "ligustrum_vulgare": Wanted(0.85, 0.50, (1000, 2600), 3.4),
-    "syringa_vulgaris": Wanted(0.85, 0.50, (1400, 3000), 7.6),
+    "cornus_sanguinea": Wanted(0.74, 0.42, (1000, 2600), 3.9),
+    "corylus_avellana": Wanted(0.78, 0.40, (1400, 3000), 7.6),
+    "ligustrum_vulgare": Wanted(0.74, 0.42, (1000, 2600), 3.4),
+    "syringa_vulgaris": Wanted(0.80, 0.42, (1400, 3000), 7.6),
 }
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.crown_looks import cover, looks_at, sector_radius
 from benchmarks.growth_check import MEASURES, check, held_rows, judge
 from benchmarks.open_grown import AGES, Sizes, grow_open, sizes_at
 from benchmarks.urban_tree_medians import TABLE, read_records, read_table, rows_for
@@ -51,6 +52,27 @@ def test_plants_as_measured_pass_and_thin_trunks_fail() -> None:
     failures = judge("tilia_cordata", as_measured("tilia_cordata", factor=0.5)).failures
     assert any("dbh_cm at 10 years is 0.50" in line for line in failures)
     assert any("band of height/dbh" in line for line in failures)
+
+
+def test_a_full_crown_covers_its_outline_and_tufts_do_not() -> None:
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(4000, 3))
+    ball *= 4 * rng.uniform(size=(4000, 1)) ** (1 / 3) / np.linalg.norm(ball, axis=1, keepdims=True)
+    tufts = 0.15 * ball + rng.choice([[4, 0, 0], [-4, 0, 0], [0, 4, 0], [0, -4, 0], [0, 0, 4]], size=4000)
+    ball[:, 2] += 6
+    tufts[:, 2] += 6
+    assert cover(ball, 10.0) > 0.9
+    assert cover(tufts, 10.0) < 0.35
+    assert cover(ball[:3], 10.0) == 0.0
+    assert 3.0 < sector_radius(ball) < 4.0 < 8 * sector_radius(np.array([[5.0, 0.0, 1.0]])) < 5.1
+
+
+def test_looks_of_an_oak_are_those_of_a_tree() -> None:
+    species = load_catalogue(Species())["quercus_rubra"]
+    looks = looks_at(grow_open(species.id, species.growth, species.open_grown, count=2, age=30), 30)
+    assert (looks.cover > 0.85).all()
+    assert (looks.dome > 0.15).all()
+    assert (looks.lean < 0.15).all()
 
 
 def test_each_age_of_one_run_is_no_smaller_than_the_age_before() -> None:

@@ -52,6 +52,11 @@ def test_two_trees_beside_a_wall_grow_as_in_the_reference():
     assert grown.markers["blocked"] > 0
 
 
+def test_plants_of_a_few_weeks_grow_as_in_the_reference():
+    grown = assert_same_growth(scene([(0, 0), (2, 0), (4, 0)], species=[LIME, MAPLE, OAK], age=[0.05, 3.1, 0.6]))
+    assert (grown.generated > 0).all()
+
+
 def test_shrubs_of_many_stems_grow_as_in_the_reference():
     grown = assert_same_growth(scene([(0, 0), (1.5, 0.7)], species=[HAZEL, DOGWOOD], age=[7, 9]))
     assert (grown.generated > 60).all()
