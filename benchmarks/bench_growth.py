@@ -142,8 +142,8 @@ def main() -> None:
     cpu = [min(pair[k][1] for pair in rounds) for k in (0, 1)]
     print(
         f"40 groves, two threads against one: x{wall[0] / wall[1]:.2f} in wall time, x{cpu[1] / cpu[0]:.2f} CPU; "
-        f"{len(groves) / wall[1]:.0f} trees a second ({os.cpu_count()} cores, {os.getloadavg()[0]:.1f} busy in the last "
-        "minute: the first number says little where others work too)"
+        f"{len(groves) / wall[1]:.0f} trees a second ({os.cpu_count()} cores, {os.getloadavg()[0]:.1f} busy in the "
+        "last minute: the first number says little where others work too)"
     )
 
     small = city.alone(TREES[0], 14.0)
