@@ -35,6 +35,7 @@ from urbanforest_cli.growth.simulate import KERNELS
 
 SKELETON, PICTURE = ".parquet", ".png"
 PICTURE_PX = (1400, 1300)
+WINDS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
 SIZES = ("height_m", "crown_radius_m", "crown_base_m", "dbh_m", "internode_count")
 GROUND, SKY, HAZE = (0.57, 0.62, 0.42), (0.78, 0.86, 0.93), (0.95, 0.96, 0.96)
 
@@ -190,7 +191,9 @@ def _picture(request: Request, company: Company, record: dict[str, Any]) -> byte
     beside = [f"{len(request.walls)} walls"] if len(request.walls) > 1 else ["a wall"] * len(request.walls)
     beside += [company.species[row].common_name for row in range(1, len(company))]
     place = "beside " + ", ".join(beside) if beside else "alone"
-    panel = Panel(render(scene, camera, supersampling=2), title=place, note=f"seed {request.seed}")
+    towards = f"looking {WINDS[round(azimuth / 45.0) % 8]}"
+    image = render(scene, camera, supersampling=2, sun=_afternoon_sun(request.latitude_deg))
+    panel = Panel(image, title=f"{place}, {towards}", note=f"seed {request.seed}")
     return png_of(draw_sheet([[panel]], (lines[0][0], lines[0][1])), record)
 
 
@@ -218,6 +221,11 @@ def _room_for_person(company: Company, looking_deg: float) -> list[tuple[float, 
     return [min(free)[2]] if free else []
 
 
+def _afternoon_sun(latitude_deg: float) -> tuple[float, float, float]:
+    """Return a direction toward the sun: from the equator's side and somewhat from the west, as light is reckoned."""
+    return (-0.45, -0.75 if latitude_deg >= 0 else 0.75, 0.8)
+
+
 def _viewing_azimuth(request: Request) -> float:
     """Return the direction to look in: neighbours and walls beside the plant rather than before it."""
     beside = [item.azimuth_deg for item in request.neighbours]
@@ -226,7 +234,9 @@ def _viewing_azimuth(request: Request) -> float:
     def in_the_way(looking_deg: float) -> float:
         from_eye = looking_deg + 180.0  # the viewer stands there, seen from the plant
         faults = [abs(np.cos(np.radians(azimuth - from_eye)) + 0.2) for azimuth in beside]
-        faults += [abs(np.cos(np.radians(azimuth - from_eye)) + 0.35) for azimuth in walls]
+        for azimuth in walls:
+            before = np.cos(np.radians(azimuth - from_eye))
+            faults.append(abs(before + 0.35) + (2.0 if before > 0.3 else 0.0))
         return round(float(max(faults, default=0.0)), 6)
 
     return float(min(range(0, 360, 15), key=lambda angle: (in_the_way(angle), min(angle, 360 - angle), angle)))

@@ -100,6 +100,10 @@ def test_what_is_there_is_replaced_only_when_asked(runner, tmp_path):
         ([*LIME, "--age", "old"], "not a valid float"),
         (["grow", "--one", "tilia_cordta", "--age", "3"], "did you mean 'tilia_cordata'"),
         ([*LIME, "-o", "tree.obj"], "ends with .parquet"),
+        (["grow", "x.gpkg", "--year", "3", "--only", "1"], "--only says how to grow"),
+        (["grow", "x.gpkg", "--year", "-3", "--bbox", "0", "0", "1", "1"], "--bbox says how to grow"),
+        (["grow", "x.gpkg", "--year", "0", "--environment", "shadow"], "--environment says how to grow"),
+        (["grow", "x.gpkg", "--year", "3", "--detail", "library"], "--detail says how to grow"),
         (["grow", "nowhere.gpkg"], "no such register"),
     ],
 )

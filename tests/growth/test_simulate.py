@@ -102,7 +102,7 @@ def test_where_something_is_built_stands_a_root_alone():
     columns = np.ceil(around.size_m / COLUMN_M).astype(int)
     top = np.zeros((columns[1], columns[0]), np.float32)
     x, y = ((place.xy_m[1] - around.origin_m) / COLUMN_M).astype(int)
-    top[y - 3 : y + 4, x - 3 : x + 4] = 5.0
+    top[y - 6 : y + 7, x - 6 : x + 7] = 5.0
     grown = assert_same_growth(place, around=around._replace(solid_top_m=top))
     assert grown.outcome.tolist() == [GROWN, NO_ROOM]
     assert grown.skeletons.node_counts()[1] == 1

@@ -10,7 +10,6 @@ from urbanforest_cli.growth.solids import footprints_of, sky_field, solid_top, w
 from urbanforest_cli.growth.sunlight import light_from
 
 CITY = np.array([4_310_000.0, 3_210_000.0])  # far from 0, as maps are
-NO_PLANTS = np.empty((0, 2))
 
 
 def blocks(rng, count, spread):
@@ -38,7 +37,7 @@ def test_no_place_in_an_unbuilt_column_is_inside_a_footprint(seed):
     rng = np.random.default_rng(seed)
     shapes, heights = blocks(rng, 9, (-5, 55)), rng.uniform(2, 20, 9)
     footprints = footprints_of(shapes, heights, 8.0)
-    top = solid_top(footprints, np.arange(len(footprints)), CITY, np.array([50.0, 50, 20]), NO_PLANTS)
+    top = solid_top(footprints, np.arange(len(footprints)), CITY, np.array([50.0, 50, 20]))
     anywhere = CITY + rng.uniform(0, 50, (20_000, 2))
     edges = [shapely.line_interpolate_point(s.boundary, rng.uniform(0, 1, 800), normalized=True) for s in shapes]
     near = shapely.get_coordinates(np.concatenate(edges)) + rng.uniform(-0.004, 0.004, (7200, 2))
@@ -50,7 +49,7 @@ def test_no_place_in_an_unbuilt_column_is_inside_a_footprint(seed):
             highest[inside] = np.maximum(highest[inside], height)
         assert (columns_of(xy, top) >= highest - 1e-5).all()
     assert (columns_of(near, top) > 0).all()  # also within a few millimetres of the walls
-    assert top.shape == (100, 100)
+    assert top.shape == (200, 200)
     assert top.dtype == np.float32
 
 
@@ -58,7 +57,7 @@ def test_columns_are_built_only_where_a_footprint_comes_close():
     rng = np.random.default_rng(11)
     shapes = blocks(rng, 6, (5, 45))
     footprints = footprints_of(shapes, np.full(6, 9.0), 8.0)
-    top = solid_top(footprints, np.arange(len(footprints)), CITY, np.array([50.0, 50, 20]), NO_PLANTS)
+    top = solid_top(footprints, np.arange(len(footprints)), CITY, np.array([50.0, 50, 20]))
     rows, cols = np.nonzero(top)
     low = CITY + np.column_stack((cols, rows)) * COLUMN_M
     squares = shapely.box(*(low - 0.0051).T, *(low + COLUMN_M + 0.0051).T)
@@ -78,28 +77,25 @@ def test_nothing_built_costs_nothing():
     footprints = footprints_of(np.array([], dtype=object), np.array([]), 8.0)
     size = np.array([30.0, 30, 20])
     none = np.empty(0, dtype=np.int64)
-    assert solid_top(footprints, none, CITY, size, NO_PLANTS).tolist() == [[0.0]]
+    assert solid_top(footprints, none, CITY, size).tolist() == [[0.0]]
     assert sky_field(footprints, none, CITY, size, light_from(50, 0.5)).tolist() == [[[255]]]
     far = footprints_of(np.array([affinity.translate(shapely.box(500, 500, 510, 510), *CITY)]), np.array([9.0]), 8.0)
-    assert solid_top(far, np.array([0]), CITY, size, NO_PLANTS).shape == (1, 1)
+    assert solid_top(far, np.array([0]), CITY, size).shape == (1, 1)
 
 
 def test_heights_unknown_are_those_of_the_config_and_none_is_none():
     shapes = np.array([affinity.translate(shapely.box(x, 2, x + 4, 6), *CITY) for x in (2, 10, 18)])
     footprints = footprints_of(shapes, np.array([np.nan, 0.0, 5.0]), 7.5)
-    top = solid_top(footprints, np.arange(len(footprints)), CITY, np.array([30.0, 10, 20]), NO_PLANTS)
+    top = solid_top(footprints, np.arange(len(footprints)), CITY, np.array([30.0, 10, 20]))
     assert [float(columns_of(CITY + np.array([[x, 4.0]]), top)[0]) for x in (4, 12, 20)] == [7.5, 0.0, 5.0]
 
 
-def test_a_plant_outside_the_walls_has_its_column_and_one_inside_has_not():
+def test_a_column_that_a_wall_touches_is_built_whole():
     house = np.array([affinity.translate(shapely.Polygon([(5.1, 5.1), (15.1, 5.1), (15.1, 15.1), (5.1, 15.1)]), *CITY)])
     footprints = footprints_of(house, np.array([9.0]), 8.0)
-    plants = CITY + np.array([[5.05, 10.0], [5.2, 8.2], [2.0, 2.0]])
-    size = np.array([20.0, 20, 20])
-    top = solid_top(footprints, np.array([0]), CITY, size, plants)
-    assert columns_of(plants, top).tolist() == [0.0, 9.0, 0.0]
-    strict = solid_top(footprints, np.array([0]), CITY, size, NO_PLANTS)
-    assert (strict != top).sum() == 1
+    spots = CITY + np.array([[5.05, 10.0], [5.2, 8.2], [4.9, 10.0], [2.0, 2.0]])
+    top = solid_top(footprints, np.array([0]), CITY, np.array([20.0, 20, 20]))
+    assert columns_of(spots, top).tolist() == [9.0, 9.0, 0.0, 0.0]
 
 
 def traced(shapes, tops, spot, light):

@@ -1,6 +1,7 @@
 import json
 import shutil
 import threading
+from dataclasses import replace
 
 import geopandas as gpd
 import numpy as np
@@ -14,7 +15,9 @@ from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.errors import ConfigError, InputError, SchemaError, StaleError
 from urbanforest_cli.core.publish import sha256_of
 from urbanforest_cli.core.randomness import keys_for
+from urbanforest_cli.core.schema import OLDEST_YEARS
 from urbanforest_cli.core.skeleton import measure, select
+from urbanforest_cli.core.species import Catalogue
 from urbanforest_cli.files.configs import load_config
 from urbanforest_cli.files.geopackage import layer_names, read_layer, write_layers
 from urbanforest_cli.files.provenance import read_records
@@ -307,6 +310,45 @@ def test_other_settings_traits_and_seeds_grow_all_again(register, calls):
     assert len(part_hashes(register)) == summary.counts["parts"]
 
 
+@pytest.mark.parametrize("trait", ["leaf_shade", "shade_decay"])
+def test_shade_that_a_species_casts_grows_its_neighbours_again(register, calls, monkeypatch, trait):
+    grow(register)
+    plants = read_layer(register, "plants")
+    rare = plants["species"].value_counts().index[-1]
+    catalogue = load_catalogue(Config().species)
+    kinds = [
+        replace(kind, growth=replace(kind.growth, **{trait: 1.1 * getattr(kind.growth, trait)}))
+        if kind.id == rare
+        else kind
+        for kind in catalogue
+    ]
+    monkeypatch.setattr("urbanforest_cli.growth.stage.load_catalogue", lambda *_: Catalogue(kinds))
+    calls.keys.clear()
+    summary = grow(register)
+    again = plants[plants["plant_id"].isin(calls.plants(plants["plant_id"].tolist()))]
+    casting = plants[plants["species"] == rare]
+    lots = set(casting["lot_id"])
+    assert lots <= set(again["lot_id"])
+    others = again[~again["lot_id"].isin(lots)]
+    assert len(others)
+    reach = casting.geometry.union_all().buffer(45.0)
+    assert (others.groupby("lot_id")["geometry"].apply(lambda lot: lot.union_all().distance(reach)) == 0).all()
+    assert summary.counts["groves_reused"] > 0
+
+
+def test_a_plant_older_than_any_lives_as_long_as_the_oldest_does(register, calls):
+    other = copy_of(register, "b")
+    plants = read_layer(register, "plants")
+    for path, age in ((register, OLDEST_YEARS), (other, 250.0)):
+        plants.loc[plants.index[0], "age_years"] = age
+        write_layers(path, {"plants": plants})
+        grow(path)
+    assert trees_of(register).drop(columns="age_years").equals(trees_of(other).drop(columns="age_years"))
+    plants.loc[plants.index[0], "age_years"] = 1.01 * OLDEST_YEARS
+    with pytest.raises(SchemaError, match="age_years"):
+        write_layers(register, {"plants": plants})
+
+
 def test_settings_that_choose_who_grows_leave_what_has_grown(register, calls):
     first = grow(register)
     again = grow(register, "growth.unique_plants_max=4000", "growth.library_size_max=7")
@@ -435,6 +477,116 @@ def test_a_box_puts_the_lots_of_its_plants_in_focus(register, calls):
         grow(register, bbox=(x, y, x, y))
 
 
+@pytest.mark.parametrize("settings", [(), ("growth.detail=library",)])
+def test_a_focus_without_a_plant_is_refused(register, calls, settings):
+    lots = read_layer(register, "lots", geometry=False)["lot_id"]
+    bare = sorted(set(lots) - set(read_layer(register, "plants")["lot_id"]))[0]
+    for place, focus in (("--bbox", {"bbox": (0, 0, 1, 1)}), ("--only", {"focus_lots": [bare]})):
+        with pytest.raises(InputError, match=place) as refused:
+            grow(register, *settings, **focus)
+        assert refused.value.found
+        assert refused.value.expected
+    assert "trees" not in layer_names(register)
+
+
+@pytest.mark.parametrize("detail", ["unique", "library"])
+def test_a_city_whose_plants_all_stand_inside_a_building_has_no_room_for_any(register, calls, detail):
+    plants, buildings = read_layer(register, "plants"), read_layer(register, "buildings")
+    hall = shapely.MultiPolygon([shapely.box(*plants.total_bounds).buffer(5.0)])
+    row = gpd.GeoDataFrame({"building_id": ["hall"], "height_m": [9.0]}, geometry=[hall], crs=buildings.crs)
+    write_layers(register, {"buildings": row})
+    summary = grow(register, f"growth.detail={detail}")
+    trees = trees_of(register)
+    assert set(trees["grown"]) == {"none"}
+    assert set(trees["reason"]) == {"no_room"}
+    assert summary.counts["no_room"] == len(plants)
+    assert (
+        summary.counts["groves"] == len(part_hashes(register) if (register.parent / "skeletons").exists() else []) == 0
+    )
+    show_year(register, -3)
+    assert set(trees_of(register)["reason"]) == {"no_room"}
+    assert calls.keys == []
+
+
+def test_a_register_without_a_plant_grows_nothing(register, calls):
+    write_layers(register, {"plants": read_layer(register, "plants").iloc[:0]})
+    for detail in ("unique", "library"):
+        assert grow(register, f"growth.detail={detail}").counts["plants"] == 0
+
+
+def test_lots_out_of_focus_keep_what_they_have_whatever_the_settings(register, calls):
+    grow(register)
+    before = trees_of(register)
+    plants = read_layer(register, "plants")
+    lot, other = plants["lot_id"].value_counts().index[:2]
+    old = read_layer(register, "groves").set_index("grove_id")["grow_key"]
+    full = copy_of(register, "full")
+    calls.keys.clear()
+    summary = grow(register, "growth.voxel_m=0.5", focus_lots=[lot])
+    own = before[(before["lot_id"] == lot) & (before["reason"] != "no_room")]
+    assert (
+        set(own["plant_id"])
+        <= calls.plants(plants["plant_id"].tolist())
+        <= set(plants["plant_id"][plants["lot_id"] == lot])
+    )
+    assert summary.counts["out_of_focus"] == 0
+    assert "W_KEPT_AS_GROWN" in summary.notices
+    pd.testing.assert_frame_equal(trees_of(register), before)  # voxels are nothing to these plants
+    groves = read_layer(register, "groves").set_index("grove_id")
+    changed = groves.index[groves["grow_key"] != old.reindex(groves.index)]
+    assert set(groves["lot_id"][changed]) == {lot}
+    mixed = read_records(register)["grow"].stage_key
+    catalogue = load_catalogue(Config().species)
+    now = load_config(settings=("growth.voxel_m=0.5",), environment={}).config
+    place = read_records(register)["place"].stage_key
+    assert mixed not in {key_of(register), grow_key(place, config=now, seed=SEED, catalogue=catalogue)}
+    calls.keys.clear()
+    grow(register, "growth.voxel_m=0.5", focus_lots=[lot])
+    assert calls.keys == []
+    assert read_records(register)["grow"].stage_key == mixed
+    grow(register, "growth.voxel_m=0.6", focus_lots=[other])
+    grow(register, "growth.voxel_m=0.5", focus_lots=[lot])  # the same words, another city
+    assert read_records(register)["grow"].stage_key != mixed
+    grow(register, "growth.voxel_m=0.5")
+    assert "W_KEPT_AS_GROWN" not in read_records(register)["grow"].notices
+    grow(full, "growth.voxel_m=0.5")
+    same_forest(register, full)
+
+
+def test_what_grew_of_other_plants_is_not_kept(register, calls):
+    grow(register)
+    plants = read_layer(register, "plants")
+    first, lot = plants["lot_id"].value_counts().index[:2]
+    place_plants(register, config=Config(), seed=SEED + 1)
+    grow(register, focus_lots=[lot])
+    trees = trees_of(register)
+    assert set(trees["reason"][trees["lot_id"] == first]) <= {"out_of_focus", "no_room"}
+
+
+def test_plants_placed_again_as_they_were_take_what_has_grown(register, calls):
+    grow(register)
+    place_plants(register, config=Config(), seed=SEED)
+    calls.keys.clear()
+    lot = read_layer(register, "plants")["lot_id"].value_counts().index[0]
+    assert grow(register, focus_lots=[lot]).counts["out_of_focus"] == 0
+    assert calls.keys == []
+    assert read_records(register)["grow"].stage_key == key_of(register)
+
+
+def test_what_cannot_be_kept_is_told_and_never_grown_under_its_old_name(register, calls, monkeypatch):
+    grow(register)
+    before = sha256_of(register)
+    lot = read_layer(register, "plants")["lot_id"].value_counts().index[0]
+
+    def broken(store, grove):
+        raise SchemaError("torn")
+
+    monkeypatch.setattr("urbanforest_cli.files.skeleton_parts.GroveStore.skeletons", broken)
+    with pytest.raises(StaleError, match="without --only"):
+        grow(register, "growth.voxel_m=0.5", focus_lots=[lot])
+    assert sha256_of(register) == before
+
+
 def test_a_lot_in_focus_that_is_not_there_is_refused(register, calls):
     with pytest.raises(InputError, match="nowhere"):
         grow(register, focus_lots=["nowhere"])
@@ -469,6 +621,50 @@ def test_a_library_gives_every_plant_a_skeleton_and_tells_how_far_it_is(register
     again = grow(register, *LIBRARY, focus_lots=[lot])
     assert again.counts["groves_reused"] == again.counts["groves"]
     assert trees_of(register).equals(trees)
+
+
+def test_the_library_counts_plants_that_stand_in_one_way_only(register, calls):
+    counts = grow(register, *LIBRARY).counts
+    assert counts["library_one_dead"] > 0
+    assert counts["library_compared"] + counts["library_one_dead"] == 3 * 4
+
+
+def test_pruned_plants_of_the_library_lie_along_their_rows(register, calls, monkeypatch):
+    from urbanforest_cli.growth import detail
+
+    plants = read_layer(register, "plants")
+    plants["pruning_factor"] = 0.6
+    write_layers(register, {"plants": plants})
+    seen, told = {}, []
+
+    def looked_at(ground, *rest):
+        seen["ground"] = ground
+        return detail.stand_of(ground, *rest)
+
+    def described(*columns, **more):
+        told.append(more)
+        return describe(*columns, **more)
+
+    describe = detail.describe
+    monkeypatch.setattr("urbanforest_cli.growth.stage.stand_of", looked_at)
+    monkeypatch.setattr(detail, "describe", described)
+    grow(register, *LIBRARY, "growth.crown_clearance_m={street=3.5}")
+    ground, trees = seen["ground"], trees_of(register)
+    city = ground.city
+    azimuth = dict(zip(city.plant_id, np.degrees(city.azimuth_rad), strict=True))
+    shared = trees[trees["grown"] == "library"]
+    texts = read_texts(register.parent / "skeletons", "plant_id")
+    entry = np.array([azimuth[texts[int(number)]] for number in shared["skeleton_id"]])
+    lies = entry * np.where(shared["mirror"] == 1, -1.0, 1.0) + shared["yaw_deg"].to_numpy()
+    own = np.array([azimuth[plant] for plant in shared["plant_id"]])
+    aside = np.abs((own - lies + 45.0) % 90.0 - 45.0)
+    assert np.ptp(own) > 30
+    assert np.median(aside) < 2.0
+    assert told, "no entry was left out: nothing was matched again"
+    for more in told:
+        np.testing.assert_array_equal(more["row_azimuth_rad"], city.azimuth_rad[ground.rows])
+        np.testing.assert_array_equal(more["clearance_m"], city.clearance_m[ground.rows])
+        assert more["clearance_m"].max() == 3.5
 
 
 def test_auto_means_unique_for_few_plants_and_the_library_for_many(register, calls):

@@ -200,6 +200,9 @@ class SlowGrove:
             self.set_shoots(self.choose())
             self.buds = [bud for bud in self.buds if not bud.dead]
             self.cut()
+        for plant in self.plants:
+            if plant.outcome == 0 and not any(node.plant is plant for node in self.living if node.parent is not None):
+                plant.outcome, plant.death = (1, plant.season) if len(plant.nodes) > 1 else (2, 0)
         return self.given
 
     # what comes from outside

@@ -9,8 +9,8 @@ import numpy as np
 from urbanforest_cli.core.config import Growth
 from urbanforest_cli.growth.grove import COLUMN_M, SKY_CELL_M, Surroundings, TraitsTable
 
+NEIGHBOUR_LEAF_SHADE, NEIGHBOUR_SHADE_DECAY = 0.045, 1.8  # of plants of other groves
 FULL_LIGHT = 4096  # shade counts in whole parts of it
-MARKERS_SEEN_MAX = 512
 ALL_BITS = 2**64 - 1
 CANOPY_M = 2.0  # edge of the cells in which a canopy's leaves are summed
 LEAF_M2 = 1.5  # leaf area of an internode for each 1 of its leaf_shade
@@ -74,7 +74,7 @@ class Shade:
         self.around, self.edge = around, config.voxel_m
         layers = range(config.shade_depth_voxels + 1)
         exact = [[row["leaf_shade"] * row["shade_decay"] ** -q for q in layers] for row in traits]
-        exact.append([float(np.mean([row[q] for row in exact])) for q in layers])  # plants of other groves
+        exact.append([NEIGHBOUR_LEAF_SHADE * NEIGHBOUR_SHADE_DECAY**-q for q in layers])
         self.cast_in_layer = [[round(amount * FULL_LIGHT) for amount in row] for row in exact]
         self.lean = [[round(q * float(lean)) for lean in around.shade_lean] for q in layers]
         self.shade: dict[Cell, int] = {}
@@ -206,8 +206,6 @@ class Room:
                 ahead = way[0] * direction[0] + way[1] * direction[1] + way[2] * direction[2]
                 if ahead <= 0 or ahead * ahead < self.half_cone * self.half_cone * square:
                     continue
-                if len(mine) == MARKERS_SEEN_MAX:
-                    break
                 length = math.sqrt(square) + 1e-9
                 mine.append((cell, stored_point((way[0] / length, way[1] / length, way[2] / length))))
                 if cell not in nearest or square < nearest[cell][0]:

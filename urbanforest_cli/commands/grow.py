@@ -65,6 +65,8 @@ def command(
     asked = {"growth.environment": environment, "growth.detail": detail}
     others = {"--detail": detail, "--only": only, "--bbox": bbox, "--year": year}
     one_plant.refuse_strangers(register, others, one)
+    if year is not None:
+        _refuse_growth({"--environment": environment, "--detail": detail, "--only": only, "--bbox": bbox})
     settings += tuple(f"{name}={value}" for name, value in asked.items() if value is not None)
     if register is None:
         one_plant.grow_one(config_path, settings, seed, as_json, one)
@@ -90,3 +92,10 @@ def command(
             progress=progress,
         )
     options.tell([summary], as_json)
+
+
+def _refuse_growth(given: dict[str, Any]) -> None:
+    """Refuse options that say how to grow beside one that grows nothing."""
+    for option, value in given.items():
+        if value not in (None, ()):
+            raise click.UsageError(f"{option} says how to grow, and --year grows nothing: leave one of them out.")

@@ -143,7 +143,7 @@ class Growth(Section):
     marker_radius_internodes: Annotated[float, Field(strict=True, ge=0.5, le=6)] = Field(
         2.0, description="markers within this distance of an internode are taken"
     )
-    perception_angle_deg: Annotated[float, Field(strict=True, ge=20, le=360)] = Field(
+    perception_angle_deg: Annotated[float, Field(strict=True, ge=30, le=180)] = Field(
         90.0, description="full angle of a bud's cone of perception"
     )
     building_height_m: Metres = Field(8.0, description="height of a building that states none")
@@ -166,6 +166,12 @@ class Growth(Section):
     grove_length_max_m: Annotated[float, Field(strict=True, ge=10, le=500)] = Field(
         60.0, description="longest side of a grove; a longer lot is cut"
     )
+
+    @model_validator(mode="after")
+    def _sees_beyond_what_is_taken(self) -> Growth:
+        if self.marker_range_internodes <= self.marker_radius_internodes:
+            raise ValueError("marker_range_internodes must exceed marker_radius_internodes, or no bud ever sees room")
+        return self
 
 
 class Export(Section):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 REGISTER_VERSION = 2
+OLDEST_YEARS = 5000.0
 RESOLVED_PREFIX = "resolved_"
 
 ColumnType = Literal["text", "number", "integer"]
@@ -123,7 +124,7 @@ LAYERS: dict[str, Layer] = {
                 "lot_id": _LOT,
                 "species": Column("text", "species identifier"),
                 "habit": Column("text", "tree or shrub"),
-                "age_years": Column("number", "age", low=0),
+                "age_years": Column("number", "age", low=0, high=OLDEST_YEARS),
                 "envelope_radius_m": Column("number", "radius of the room a plant takes", low=0),
                 "pruning_factor": Column("number", "scale of the sides of the crown's box, 1 unpruned", low=0, high=1),
             },
@@ -148,7 +149,7 @@ LAYERS: dict[str, Layer] = {
                 "lot_id": _LOT,
                 "species": Column("text", "species identifier"),
                 "habit": Column("text", "tree or shrub"),
-                "age_years": Column("number", "age", low=0),
+                "age_years": Column("number", "age", low=0, high=OLDEST_YEARS),
                 "height_m": Column("number", "height, 0 where nothing stands", low=0),
                 "crown_radius_m": Column("number", "mean reach of the crown over eight sectors", low=0),
                 "crown_base_m": Column("number", "height of the lowest living branch", low=0),

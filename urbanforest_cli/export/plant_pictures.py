@@ -93,8 +93,20 @@ class Scene:
     backdrop: Backdrop = field(default_factory=Backdrop)
 
 
-def render(scene: Scene, camera: Camera, *, supersampling: int = 2, cell_m: float = 0.5) -> NDArray[np.uint8]:
+def render(
+    scene: Scene,
+    camera: Camera,
+    *,
+    supersampling: int = 2,
+    cell_m: float = 0.5,
+    sun: tuple[float, float, float] | None = None,
+) -> NDArray[np.uint8]:
     """Draw a scene.
+
+    Parameters
+    ----------
+    sun
+        Direction toward the sun: east, north, up. From the upper left behind the viewer where none is given.
 
     Returns
     -------
@@ -103,11 +115,11 @@ def render(scene: Scene, camera: Camera, *, supersampling: int = 2, cell_m: floa
     """
     large = camera.enlarged(supersampling)
     axes = large.axes
-    sun = np.array(SUN) / np.linalg.norm(SUN)
-    sun_world = axes.T @ sun
+    sun_world = axes.T @ np.array(SUN) if sun is None else np.array(sun)
+    sun_world = sun_world / np.linalg.norm(sun_world)
     sun_world[2] = max(sun_world[2], 0.3)  # a view from above must not set the sun
     sun_world /= np.linalg.norm(sun_world)
-    sun = axes @ sun_world
+    sun_seen = axes @ sun_world
 
     grown = [build_wood(plants) for plants in scene.plants]
     leaves = [
@@ -129,13 +141,13 @@ def render(scene: Scene, camera: Camera, *, supersampling: int = 2, cell_m: floa
         start, end = large.seen(wood.start), large.seen(wood.end)
         start[:, 3] *= wood.start_radius
         end[:, 3] *= wood.end_radius
-        draw_wood(canvas, start, end, wood.rgb, wood.start[:, 2] < 1e-3, light, sun, SUN_POWER, SKY_POWER)
+        draw_wood(canvas, start, end, wood.rgb, wood.start[:, 2] < 1e-3, light, sun_seen, SUN_POWER, SKY_POWER)
     for item, (_, twigs) in zip(leaves, grown, strict=True):
         if item is None or len(item.twig) == 0:
             continue
         light = light_of_points(shade, twigs.tip, sun_world, sky, 1.2 * cell_m, REACH_M, 0.8)[item.twig]
-        draw_leaves(canvas, large.seen(item.centre), item.along @ axes.T, item.across @ axes.T, item.rgb, light, sun,
-                    SUN_POWER, SKY_POWER)  # fmt: skip
+        draw_leaves(canvas, large.seen(item.centre), item.along @ axes.T, item.across @ axes.T, item.rgb, light,
+                    sun_seen, SUN_POWER, SKY_POWER)  # fmt: skip
     faces = joined_faces([*scene.faces, build_walls(scene.buildings, scene.building_height_m)])
     if len(faces.corners):
         corners = large.seen(faces.corners.reshape(-1, 3))[:, :3].reshape(-1, 3, 3)

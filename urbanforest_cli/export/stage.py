@@ -158,13 +158,17 @@ def _read(register: Path, config: Config, city: Path | None, assume_crs: str | N
     crs = CRS.from_user_input(lots.crs)
     names = set(layer_names(register))
     notices = Notices()
+    trees = _trees(register, plants["plant_id"], notices)
+    if trees is not None:  # of an earlier year only what was planted by then is told
+        born = (trees["reason"] != "unborn").to_numpy()
+        plants, trees = plants[born].reset_index(drop=True), trees[born].reset_index(drop=True)
     tables = RegisterTables(
         lots=pd.DataFrame(lots.drop(columns="geometry")),
         parameters=read_layer(register, "parameters", geometry=False, columns=["lot_id", "strategy", "radius_mean_m"]),
         plants=pd.DataFrame(plants.drop(columns="geometry")),
         placements=read_layer(register, "placements", geometry=False),
         skipped=read_layer(register, "skipped", geometry=False) if "skipped" in names else _empty("skipped"),
-        trees=_trees(register, plants["plant_id"], notices),
+        trees=trees,
     )
     file_xy = shapely.get_coordinates(plants.geometry.to_numpy())
     del plants

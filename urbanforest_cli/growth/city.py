@@ -15,7 +15,7 @@ from urbanforest_cli import __version__
 from urbanforest_cli.core.config import Growth
 from urbanforest_cli.core.randomness import keys_for
 from urbanforest_cli.core.species import Catalogue
-from urbanforest_cli.growth.grove import Grove
+from urbanforest_cli.growth.grove import LONGEST_SEASONS, Grove
 from urbanforest_cli.growth.groves import cut_into_groves, number_in_lot, row_azimuth
 from urbanforest_cli.growth.sunlight import Light
 from urbanforest_cli.growth.surroundings import Plants, Site
@@ -38,6 +38,8 @@ class City:
         (n,) each plant's row in the register.
     standing
         (n,) false for plants inside a building, which neither grow nor shade.
+    age_years
+        (n,) ages as growth takes them: those beyond its longest life are that long.
     clearance_m
         (n,) height below which branches are lifted.
     """
@@ -87,7 +89,7 @@ class City:
             keys=keys_for(seed, "grow", plant_id),
             xy_m=xy_m,
             species=species[order],
-            age_years=age_years[order],
+            age_years=np.minimum(age_years[order], LONGEST_SEASONS),
             pruning_factor=pruning_factor,
             clearance_m=clearance_m[order],
             azimuth_rad=azimuth,
@@ -168,6 +170,7 @@ class Ground:
         settings = growth.model_dump(mode="json", exclude=DECIDED_ELSEWHERE)
         self._settings = json.dumps([__version__, settings], sort_keys=True).encode()
         self._kinds = [json.dumps([kind.id, asdict(kind.growth)], sort_keys=True).encode() for kind in catalogue]
+        self._shades = np.array([[kind.growth.leaf_shade, kind.growth.shade_decay] for kind in catalogue])
 
     def places(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the rows of the site that these plants have."""
@@ -175,9 +178,11 @@ class Ground:
 
     def grow_key(self, rows: NDArray[np.int64]) -> str:
         """Return the hash of all that decides what becomes of plants that grow together."""
-        city = self.city
+        city, places = self.city, self._place[rows]
         digest = blake2b(self._settings, digest_size=16)
-        digest.update(self.site.reach_print(self._place[rows]))
+        digest.update(self.site.reach_print(places))
+        neighbours = self.site.neighbours_of(places)  # in the order of their keys
+        digest.update(self._shades[self.site.plants.species[neighbours]].tobytes())
         for row in rows.tolist():
             digest.update(f"\x1f{city.plant_id[row]}\x1e".encode("utf-8", "surrogatepass"))
             digest.update(self._kinds[city.species[row]])
@@ -190,7 +195,8 @@ class Ground:
 class Job:
     """Plants to grow together: rows of the city, and the hash of all that decides what becomes of them.
 
-    `library` marks a plant that grows alone, its skeleton to stand for many.
+    `library` marks a plant that grows alone, its skeleton to stand for many; `kept` a grove that stays as it is stored,
+    though by now it would grow otherwise.
     """
 
     grove_id: str
@@ -198,6 +204,7 @@ class Job:
     rows: NDArray[np.int64]
     grow_key: str
     library: bool = False
+    kept: bool = False
 
 
 @dataclass(frozen=True)

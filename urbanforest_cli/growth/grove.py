@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from urbanforest_cli.core.skeleton import Skeletons
 
 SKY_CELL_M = 1.0
-COLUMN_M = 0.5
+COLUMN_M = 0.25
 LONGEST_SEASONS = 250
 FRAME_STEP_M = 16.0  # origins are multiples of it, so that the markers of the world are the same in every frame
 

@@ -190,7 +190,6 @@ def drop_spent(buds, bud_count):
             buds.vigour[kept] = buds.vigour[b]
             buds.kind[kept] = buds.kind[b]
             buds.number[kept] = buds.number[b]
-            buds.birth[kept] = buds.birth[b]
             buds.spent[kept] = buds.spent[b]
         kept += 1
     return kept
@@ -277,7 +276,6 @@ def wake_reserves(nodes, live_count, buds, bud_count, plants, grids):
         buds.vigour[bud_count] = 0.0
         buds.kind[bud_count] = RESERVE
         buds.number[bud_count] = RESERVE_NUMBER
-        buds.birth[bud_count] = min(plants.now[plant], 255)
         buds.spent[bud_count] = 0
         bud_count += 1
     return buds, bud_count

@@ -15,7 +15,6 @@ from urbanforest_cli.growth.state_kernel import BLOCKED, FREE, TAKEN
 JITTER_PERIOD = 16
 NOBODY = np.float32(1e30)
 LEAST_PERCEIVED_CELLS, LEAST_TAKEN_CELLS = 2.0, 0.7
-MOST_SEEN = 512  # markers a bud takes note of
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -111,9 +110,10 @@ def perceive(nodes, buds, chosen, chosen_count, plants, traits, grids, reach, co
         internode = traits[plants.species[nodes.plant[node]]].internode_length_m
         radius = perceived_within(reach, internode, grids.marker_m)
         first[c] = count
-        if count + MOST_SEEN > len(seen_cell):
-            seen_cell = np.concatenate((seen_cell, np.empty(len(seen_cell) + MOST_SEEN, np.int32)))
-            seen_to = np.concatenate((seen_to, np.empty((len(seen_to) + MOST_SEEN, 3), np.float32)))
+        most = int(2.0 * radius / grids.marker_m + 2.0) ** 3
+        if count + most > len(seen_cell):
+            seen_cell = np.concatenate((seen_cell, np.empty(len(seen_cell) + most, np.int32)))
+            seen_to = np.concatenate((seen_to, np.empty((len(seen_to) + most, 3), np.float32)))
         count = _see(
             grids.marker, grids.marker_shape, grids.marker_m, grids.jitter, grids.near, grids.owner,
             nodes.xyz[node], buds.direction[b], radius, cone, c, seen_cell, seen_to, count,
@@ -140,7 +140,6 @@ def _see(marker, shape, cell, jitter, near, owner, xyz, direction, radius, cone,
     x, y, z = float(xyz[0]), float(xyz[1]), float(xyz[2])
     dx, dy, dz = float(direction[0]), float(direction[1]), float(direction[2])
     limit = radius * radius
-    start = count
     narrow = cone > 0.707  # the cone's box then leaves out the half space behind it
     lx = max(int((x + radius * (max(min(dx - 0.77, 0.0), -1.0) if narrow else -1.0)) / cell), 0)
     ly = max(int((y + radius * (max(min(dy - 0.77, 0.0), -1.0) if narrow else -1.0)) / cell), 0)
@@ -163,8 +162,6 @@ def _see(marker, shape, cell, jitter, near, owner, xyz, direction, radius, cone,
                 ahead = mx * dx + my * dy + mz * dz
                 if square >= limit or ahead <= 0.0 or ahead * ahead < cone * cone * square:
                     continue
-                if count - start == MOST_SEEN:
-                    return count
                 length = np.sqrt(square) + 1e-9
                 seen_cell[count] = row + ix
                 seen_to[count, 0], seen_to[count, 1], seen_to[count, 2] = mx / length, my / length, mz / length

@@ -44,7 +44,7 @@ from urbanforest_cli.growth.state_kernel import (
 
 YOUNG_YEARS, MIDDLE_YEARS = 25, 50  # growth each season up to the first, each second to the other, then each fourth
 REGROWTH_VITALITY_YEARS = 12.0  # age by which the shoots after a cut shorten, at the cut
-NODE_BYTES, BUD_BYTES = 56, 36  # of one row of Nodes and of Buds
+NODE_BYTES, BUD_BYTES = 56, 35  # of one row of Nodes and of Buds
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -135,6 +135,10 @@ def grow_seasons(plants, traits, grids, neighbours, neighbour_season, neighbour_
             if plants.years[p] > 0.0:
                 log[season - 1, p, 1] = nodes.vigour[plants.root[p]]
                 log[season - 1, p, 3] = plants.shed[p] + plants.pruned[p] - lost_before[p]
+    for p in range(plant_count):
+        if plants.state[p] == 0 and plants.node_count[p] == plants.shed[p] + plants.pruned[p]:
+            plants.state[p] = 2 if plants.node_count[p] == 0 else 1  # nothing could grow; or nothing of it is left
+            plants.death[p] = plants.now[p] if plants.state[p] == 1 else 0
     return nodes, node_count, log, live_bytes
 
 
@@ -225,7 +229,6 @@ def _plant_seeds(
             buds.roll[bud_count] = away
             buds.kind[bud_count] = APICAL if stem == 0 else STEM
             buds.number[bud_count] = APICAL_NUMBER if stem == 0 else stem
-            buds.birth[bud_count] = 0
             buds.spent[bud_count] = 0
             bud_count += 1
     return nodes, buds, node_count, live_count, bud_count

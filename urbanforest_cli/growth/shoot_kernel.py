@@ -27,6 +27,7 @@ from urbanforest_cli.growth.state_kernel import (
 
 SHORTEST = 0.1  # internodes: a bud that cannot set this much stays a bud
 EDGE_M = 0.3
+LEAST_DIRECTION = 1e-6
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -50,9 +51,9 @@ def side_vectors(dx, dy, dz, out):
 @njit(cache=True, nogil=True, error_model="numpy")
 def has_place(grids, x0, y0, z0, x, y, z):
     """Tell whether an internode may stand: within the frame, above ground, outside what is built."""
-    if x < EDGE_M or y < EDGE_M or x > grids.size[0] - EDGE_M or y > grids.size[1] - EDGE_M:
+    if not (x >= EDGE_M and y >= EDGE_M and x <= grids.size[0] - EDGE_M and y <= grids.size[1] - EDGE_M):
         return False
-    if z < 0.02 or z > grids.size[2] - EDGE_M:
+    if not (z >= 0.02 and z <= grids.size[2] - EDGE_M):
         return False
     if is_solid(grids, x, y, z):
         return False
@@ -144,6 +145,8 @@ def grow_shoots(
         for m in range(count):
             dx, dy, dz = dx + px / count, dy + py / count, dz + pz / count
             length = np.sqrt(dx * dx + dy * dy + dz * dz)
+            if not length > LEAST_DIRECTION:  # all pulls cancel: nowhere to go
+                break
             dx, dy, dz = dx / length, dy / length, dz / length
             nx, ny, nz = x + step * dx, y + step * dy, z + step * dz
             if not has_place(grids, x, y, z, nx, ny, nz):
@@ -192,7 +195,6 @@ def grow_shoots(
         buds.roll[b] = roll
         buds.kind[b] = APICAL
         buds.number[b] = APICAL_NUMBER
-        buds.birth[b] = min(plants.now[plant], 255)
     return nodes, buds, node_count, live_count, bud_count
 
 
@@ -221,7 +223,6 @@ def _set_lateral_buds(nodes, buds, bud_count, node, voxel, dx, dy, dz, roll, key
         )
         buds.kind[bud_count] = LATERAL
         buds.number[bud_count] = number
-        buds.birth[bud_count] = nodes.birth[node]
         buds.spent[bud_count] = 0
         buds.light[bud_count] = 0.0
         buds.vigour[bud_count] = 0.0

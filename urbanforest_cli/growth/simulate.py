@@ -26,6 +26,7 @@ from urbanforest_cli.growth.season_kernel import grow_seasons
 from urbanforest_cli.growth.state_kernel import BLOCKED, FREE, RAY_REACH, SHADE_UNIT, TAKEN, Grids, Nodes, Plants
 
 PRUNING_SHAPES = ("box", "ellipsoid")
+NEIGHBOUR_LEAF_SHADE, NEIGHBOUR_SHADE_DECAY = 0.045, 1.8  # of plants of other groves, whatever their species
 KERNELS = (grow_seasons,)
 
 
@@ -87,7 +88,7 @@ def grow_grove(grove: Grove, surroundings: Surroundings, traits: TraitsTable, co
             "alive": int(states[FREE]),
             "taken": int(states[TAKEN]),
             "blocked": int(states[BLOCKED]),
-            "total": int(states.sum()),
+            "total": len(grids.marker) if senses_room else 0,
         },
         live_bytes=int(live_bytes),
         grid_bytes=sum(grid.nbytes for grid in (grids.shade, grids.marker, grids.near, grids.owner)),
@@ -137,7 +138,8 @@ def _grids(
     counts = np.ceil(size / voxel).astype(np.int64)
     voxels = np.array([counts[2] + 1 + max(RAY_REACH), counts[1] + 2 * pad + 1, counts[0] + 2 * pad + 1])
     cast = traits["leaf_shade"][:, None] * traits["shade_decay"][:, None] ** -layers[None, :]
-    cast = np.vstack((cast, cast.mean(axis=0)))  # the last row is that of other groves' plants
+    others = NEIGHBOUR_LEAF_SHADE * NEIGHBOUR_SHADE_DECAY**-layers
+    cast = np.vstack((cast, others))
     cells = np.ceil(size[::-1] / config.marker_spacing_m).astype(np.int64)
     marker_count = int(cells.prod()) if senses_room else 1
     return Grids(

@@ -17,7 +17,7 @@ import shapely
 from numpy.typing import NDArray
 
 from urbanforest_cli.growth.grove import COLUMN_M, SKY_CELL_M
-from urbanforest_cli.growth.solids_kernel import burn, shares_left, stands_in, sweep
+from urbanforest_cli.growth.solids_kernel import burn, shares_left, sweep
 from urbanforest_cli.growth.sunlight import Light
 
 SHADE_REACH_M = 60.0
@@ -69,16 +69,13 @@ def solid_top(
     near: NDArray[np.int64],
     origin_m: NDArray[np.float64],
     size_m: NDArray[np.float64],
-    plants_m: NDArray[np.float64],
 ) -> NDArray[np.float32]:
-    """Return the height of what is built in each column of a frame.
+    """Return the height of what is built in each column of a frame that a footprint touches.
 
     Parameters
     ----------
     near
         Rows of the footprints to look at.
-    plants_m
-        (p, 2) a plant that stands outside all footprints, but in a column that one touches, has its column freed.
 
     Returns
     -------
@@ -93,10 +90,6 @@ def solid_top(
     )  # fmt: skip
     if not built:
         return np.zeros((1, 1), dtype=np.float32)
-    column = np.floor((plants_m - origin_m) / COLUMN_M).astype(np.int64)
-    for x, y, (i, j) in zip(*plants_m.T, column, strict=True):
-        if top[j, i] > 0 and not any(stands_in(footprints.xy_m, footprints.rings, footprints.parts, near, x, y)):
-            top[j, i] = 0.0
     return top
 
 

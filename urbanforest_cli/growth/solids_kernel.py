@@ -61,19 +61,6 @@ def burn(xy_m, rings, parts, top_m, touched, near, x0, y0, side, pad, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def stands_in(xy_m, rings, parts, near, x, y):
-    """Return for each of some parts whether a point lies in it, holes taken out, by the parity of crossings."""
-    found = np.zeros(len(near), dtype=np.bool_)
-    for n in range(len(near)):
-        for ring in range(parts[near[n]], parts[near[n] + 1]):
-            for v in range(rings[ring], rings[ring + 1] - 1):
-                ax, ay, bx, by = xy_m[v, 0], xy_m[v, 1], xy_m[v + 1, 0], xy_m[v + 1, 1]
-                if (ay > y) != (by > y) and (x - ax) * abs(by - ay) < (y - ay) * (bx - ax) * np.sign(by - ay):
-                    found[n] ^= True
-    return found
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def sweep(top, major, minor, slope, share, row0, col0, taken):
     """Add `share` to `taken` at each cell's shadow height, for light from one direction.
 

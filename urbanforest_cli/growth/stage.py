@@ -49,10 +49,13 @@ from urbanforest_cli.files.species import load_catalogue
 from urbanforest_cli.growth import simulate
 from urbanforest_cli.growth.accounts import ACCOUNTED, Accounts, joined, sizes_of
 from urbanforest_cli.growth.batches import answers_in_order
-from urbanforest_cli.growth.city import City, Ground, Job, job_numbers
+from urbanforest_cli.growth.city import City, Ground, Job, job_numbers, part_digest
 from urbanforest_cli.growth.detail import (
+    Choice,
     Comparison,
+    GroveInForce,
     choose_all,
+    choose_focus,
     choose_library,
     detail_in_force,
     lots_in_focus,
@@ -113,7 +116,7 @@ def grow_plants(
     focus_lots, bbox
         Lots to grow in their own place: by their ids, or those with a plant within west, south, east, north in the
         register's CRS. Where all plants are to grow in their own place, only these lots are grown, and of the others
-        what is stored is kept.
+        what is stored is kept, whatever the settings it grew with.
     previous
         A register of an earlier run, beside whose parts groves may be found too.
 
@@ -124,7 +127,9 @@ def grow_plants(
     ConfigError
         The register has plants of a species that is not in the catalogue.
     InputError
-        A lot in focus is not there.
+        A lot in focus is not there, or no plant is in focus.
+    StaleError
+        What is to be kept cannot be read.
     """
     started = time.perf_counter()
     place = require_record(register, "place")
@@ -137,11 +142,10 @@ def grow_plants(
     detail = detail_in_force(config.growth, len(land.plants))
     if detail == "library":
         choice = choose_library(land.ground, focus or frozenset(), open_grown)
-    else:
+    elif focus is None:
         choice = choose_all(land.ground)
-        if focus is not None:
-            jobs = [job for job in choice.jobs if job.lot_id in focus or job.grow_key in store]
-            choice = replace(choice, jobs=jobs)
+    else:
+        choice = choose_focus(land.ground, focus, _in_force(register, place, store), store)
 
     grower = _Grower(land, catalogue, seed, store, workers, progress)
     numbers = job_numbers(land.city, choice.jobs)
@@ -151,14 +155,16 @@ def grow_plants(
     columns = tree_columns(stand, accounts, season_count(land.plants["age_years"].to_numpy(dtype=np.float64)))
 
     key = grow_key(place.stage_key, config=config, seed=seed, catalogue=catalogue)
-    partial = detail == "library" or (columns["reason"] == "out_of_focus").any()
-    if focus is not None and partial:
+    if detail == "library" and focus is not None:
         key = stage_key(STAGE, config=config, seed=seed, inputs=[key, *sorted(focus)], sections=())
+    elif not choice.whole:
+        mixed = part_digest(choice.jobs, numbers)
+        key = stage_key(STAGE, config=config, seed=seed, inputs=[key, mixed], sections=())
     counts = _totals(columns, accounts, parts, detail)
     counts["last_year"] = int(season_count(land.plants["age_years"].to_numpy(dtype=np.float64)).max(initial=0))
     if compared is not None:
         counts |= _library_error(parts_folder(register), parts, compared)
-    _note_growth(land, columns, notices)
+    _note_growth(land, columns, choice, notices)
     note_settled_config(read_records(register)["stencil"], config, notices)
     record = Record(
         stage=STAGE,
@@ -166,7 +172,7 @@ def grow_plants(
         stage_key=key,
         working_crs=place.working_crs,
         config=config.model_dump(mode="json", exclude_none=True),
-        inputs=[{"name": "place", "sha256": place.stage_key}],
+        inputs=[_input_of(place)],
         counts=dict(counts),
         notices=notices,
     )
@@ -229,6 +235,23 @@ def _read(register: Path, working: CRS, config: Config, seed: int, catalogue: Ca
     ground = Ground(city, catalogue, buildings, height_m, light, config.growth)
     lot_ids = frozenset(lots["lot_id"])
     return _Land(plants, lot_ids, city, ground, int((~np.isfinite(height_m)).sum()))
+
+
+def _in_force(register: Path, place: Record, store: GroveStore) -> list[GroveInForce]:
+    """Return the groves that a register names and that lie beside it, if they are those of its plants."""
+    record = read_records(register).get(STAGE)
+    if record is None or _input_of(place) not in record.inputs:
+        return []
+    groves = read_layer(register, "groves", geometry=False)
+    groves = groves[groves["kind"] == "lot"]
+    rows = zip(groves["grove_id"], groves["lot_id"], groves["grow_key"], strict=True)
+    found = ((grove, lot, key, store.find(key)) for grove, lot, key in rows)
+    return [GroveInForce(grove, lot, stored.ids, key) for grove, lot, key, stored in found if stored is not None]
+
+
+def _input_of(place: Record) -> dict[str, str]:
+    """Return what a record of growth says of the plants it grew."""
+    return {"name": "place", "sha256": place.stage_key}
 
 
 def _latitude(file_xy: NDArray[np.float64], crs: CRS) -> float:
@@ -311,6 +334,12 @@ class _Grower:
             else:
                 self._taken.add(job.grove_id)
                 return replace(skeletons, skeleton_id=numbers), replace(accounts, skeleton_id=numbers)
+        if job.kept:
+            raise StaleError(
+                "skeletons of lots out of focus, which were to be kept, cannot be read",
+                where=f"lot {job.lot_id}",
+                next_step="run `urbanforest grow` without --only and --bbox",
+            )
         return grow_job(self.land.ground, self.traits, job, numbers)
 
     def _write(self, target: Path, plan: PartPlan, grown: Iterator[Grown]) -> None:
@@ -375,7 +404,7 @@ def _totals(columns: dict[str, Any], accounts: Accounts, parts: list[_Part], det
     }
 
 
-def _note_growth(land: _Land, columns: dict[str, Any], notices: Notices) -> None:
+def _note_growth(land: _Land, columns: dict[str, Any], choice: Choice, notices: Notices) -> None:
     height = land.ground.growth.building_height_m
     notices.add(
         "W_BUILDING_HEIGHT_UNKNOWN", f"buildings without a height, taken as {height:g} m high", land.heights_unknown
@@ -387,11 +416,14 @@ def _note_growth(land: _Land, columns: dict[str, Any], notices: Notices) -> None
     ):
         rows = np.flatnonzero(columns["reason"] == reason)
         notices.add(f"W_{reason.upper()}", text, len(rows), ids[rows[:5]])
+    kept = [plant for job in choice.jobs if job.kept for plant in land.city.plant_id[job.rows].tolist()]
+    text = "plants of lots that were not asked for, kept as they grew before, with other settings or surroundings"
+    notices.add("W_KEPT_AS_GROWN", text, len(kept), kept[:5])
 
 
 def _library_error(folder: Path, parts: list[_Part], compared: Comparison) -> Counts:
     """Hold what plants would have from the library against how they grew in their own place."""
-    counts: Counts = {"library_compared": len(compared)}
+    counts: Counts = {"library_compared": len(compared), "library_one_dead": compared.one_dead}
     if not len(compared):
         return counts
     entry_id, entry = np.unique(compared.entry_id, return_inverse=True)
@@ -434,7 +466,7 @@ def show_year(register: Path, year: int | None) -> StageSummary:
     started = time.perf_counter()
     place = require_record(register, "place")
     record = read_records(register).get(STAGE)
-    fits = record is not None and {"name": "place", "sha256": place.stage_key} in record.inputs
+    fits = record is not None and _input_of(place) in record.inputs
     if record is None or not fits or not parts_are_there(register):
         raise StaleError(
             "the skeletons are not there, or not those of these plants",
@@ -485,7 +517,7 @@ def show_year(register: Path, year: int | None) -> StageSummary:
         else base,
         working_crs=record.working_crs,
         config={name: value for name, value in record.config.items() if name not in ("year", "years_ago")} | shown_at,
-        inputs=[{"name": "place", "sha256": place.stage_key}, {"name": STAGE, "sha256": base}],
+        inputs=[_input_of(place), {"name": STAGE, "sha256": base}],
         counts=counts,
         notices=record.notices,
     )

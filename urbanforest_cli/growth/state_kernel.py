@@ -46,7 +46,6 @@ class Buds(NamedTuple):
     vigour: NDArray[np.float32]
     kind: NDArray[np.uint8]
     number: NDArray[np.uint8]  # among the buds of its node
-    birth: NDArray[np.uint8]
     spent: NDArray[np.uint8]  # 1: to be removed; 2: no room as long as no marker is released
 
 
@@ -137,7 +136,6 @@ def new_buds(capacity):
         np.zeros(capacity, np.uint8),
         np.zeros(capacity, np.uint8),
         np.zeros(capacity, np.uint8),
-        np.zeros(capacity, np.uint8),
     )
 
 
@@ -179,7 +177,6 @@ def buds_with_room(buds, count, need):
     larger.vigour[:count] = buds.vigour[:count]
     larger.kind[:count] = buds.kind[:count]
     larger.number[:count] = buds.number[:count]
-    larger.birth[:count] = buds.birth[:count]
     larger.spent[:count] = buds.spent[:count]
     return larger
 

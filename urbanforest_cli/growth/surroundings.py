@@ -73,8 +73,8 @@ class Site:
         growth: Growth,
     ) -> None:
         self.plants, self.light, self.growth = plants, light, growth
-        oldest = float(plants.age_years.max()) if len(plants) else 1.0
-        self.table = crown_table(open_grown, int(np.ceil(oldest)) + 1)
+        oldest = int(season_count(plants.age_years).max(initial=1))
+        self.table = crown_table(open_grown, oldest + 1)
         self.scale = np.asarray(plants.pruning_factor, dtype=np.float64)
         full = crown_sizes(self.table, plants.species, plants.age_years, np.ones(len(plants)))
         cut = crown_sizes(self.table, plants.species, plants.age_years, self.scale)
@@ -91,7 +91,7 @@ class Site:
         own = self.plants.xy_m[indices]
         origin, size = frame_of(own, self.margin[indices], self.headroom[indices])
         buildings = self._buildings_near(origin, size)
-        solid = solid_top(self.footprints, buildings, origin, size, own)
+        solid = solid_top(self.footprints, buildings, origin, size)
         sky = sky_field(self.footprints, buildings, origin, size, self.light)
         points, season = self._leafy_points(indices, origin, size, solid)
         return _assembled(origin, size, self.light, solid, sky, points, season)

@@ -133,8 +133,8 @@ def tree_columns(
     row[there] = by_id[np.searchsorted(accounts.skeleton_id, stand.skeleton_id[there], sorter=by_id)]
 
     season = seasons_shown(accounts.seasons, years_ago)
-    gone = (accounts.outcome == DIED) & (accounts.death_season <= season)
-    fit = np.isin(accounts.outcome, (GROWN, DIED))
+    gone = np.append((accounts.outcome == DIED) & (accounts.death_season <= season), False)  # the last: no skeleton
+    fit = np.append(np.isin(accounts.outcome, (GROWN, DIED)), False)
     unborn = there & (plant_seasons - years_ago < 1)
     dead = there & ~unborn & gone[row]
     roomless = there & ~fit[row]
