@@ -28,7 +28,7 @@ from urbanforest_cli.growth.simulate import grow_grove
 from urbanforest_cli.growth.sunlight import light_from
 from urbanforest_cli.growth.surroundings import Plants, Site
 
-TREES = ("tilia_cordata", "acer_platanoides", "quercus_rubra", "platanus_acerifolia", "gleditsia_triacanthos")
+TREES = ("platanus_acerifolia", "quercus_rubra", "tilia_cordata", "acer_platanoides", "gleditsia_triacanthos")
 SHRUB = "corylus_avellana"
 MATURE_INTERNODES = 5500
 CORNER = np.array([400_000.0, 5_500_000.0])
@@ -92,10 +92,10 @@ def least(act: Callable[[], object], repeats: int = 7) -> float:
 
 
 def mature(city: City) -> tuple[str, float]:
-    """Return the species and age of the oldest tree with about MATURE_INTERNODES standing internodes."""
+    """Return species and age, 30 to 40 years, of the tree with most nearly MATURE_INTERNODES standing internodes."""
     off = {}
     for name in TREES:
-        for age in (25.0, 30.0, 35.0, 40.0, 50.0, 60.0):
+        for age in (30.0, 35.0, 40.0):
             off[name, age] = abs(int(city.grow(city.alone(name, age)).retained[0]) - MATURE_INTERNODES)
     near = [tree for tree, internodes in off.items() if internodes <= 500]
     return max(near, key=lambda tree: tree[1]) if near else min(off, key=lambda tree: off[tree])
