@@ -14,7 +14,7 @@ import pytest
 
 from urbanforest_cli.core.config import Species
 from urbanforest_cli.core.errors import ConfigError
-from urbanforest_cli.core.habits import SHRUB, TREE
+from urbanforest_cli.core.habits import TREE, usual_growth
 from urbanforest_cli.core.traits import TRAIT_NAMES
 from urbanforest_cli.files.species import load_catalogue, species_folder
 
@@ -176,13 +176,14 @@ def test_shipped_shrubs_have_several_stems_and_trees_one() -> None:
 
 
 def test_a_species_without_growth_grows_as_a_usual_plant_of_its_habit_and_size(tmp_path: Path) -> None:
-    write_species(tmp_path / "mine", "acer_campestre", mature_height_m=9.0)
-    write_species(tmp_path / "mine", "rosa_canina", habit="shrub", mature_height_m=3.5)
+    write_species(tmp_path / "mine", "acer_campestre", mature_height_m=12.0, mature_crown_diameter_m=9.0)
+    write_species(tmp_path / "mine", "rosa_canina", habit="shrub", mature_height_m=2.0, mature_crown_diameter_m=1.5)
     catalogue = load_catalogue(Species(folder=str(tmp_path / "mine")))
     tree, shrub = catalogue["acer_campestre"], catalogue["rosa_canina"]
-    assert tree.growth.internode_length_m == pytest.approx(TREE.internode_length_m / 2)
-    assert shrub.growth == SHRUB
-    assert tree.open_grown.height_at(np.array([0.0, 40.0])) == pytest.approx([0.18, 8.0], abs=0.1)
+    assert tree.growth == usual_growth("tree", 12.0, 9.0)
+    assert shrub.growth == usual_growth("shrub", 2.0, 1.5)
+    assert tree.open_grown.height_at(np.array([0.0, 60.0])) == pytest.approx([0.36, 12.0], abs=0.1)
+    assert shrub.open_grown.crown_radius_at(np.array([60.0])) == pytest.approx([0.75])
 
 
 def test_a_file_may_name_some_traits_and_leave_the_rest_to_its_habit(tmp_path: Path) -> None:

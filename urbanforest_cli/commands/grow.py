@@ -53,7 +53,8 @@ def command(
 
     Reads layers plants, lots and buildings; writes skeletons/ beside the register, and its layers trees, groves and
     skeleton_parts. Lots in focus grow each plant in its place whatever the detail; with --detail unique only they are
-    grown anew. With --one SPECIES, grow a single plant instead, alone or beside walls and neighbours.
+    grown anew, and all others keep the skeletons they have. With --one SPECIES, grow a single plant instead, alone or
+    beside walls and neighbours.
 
     \b
     Example:

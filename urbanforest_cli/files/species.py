@@ -176,7 +176,7 @@ def _species(checked: SpeciesFile) -> Species:
     """Build a species; what its file leaves unsaid of its growth is that of a usual tree or shrub of its size."""
     said = {} if checked.growth is None else checked.growth.model_dump(exclude_none=True)
     sizes = said.pop("open_grown", None)
-    traits = replace(usual_growth(checked.habit, checked.mature_height_m), **said)
+    traits = replace(usual_growth(checked.habit, checked.mature_height_m, checked.mature_crown_diameter_m), **said)
     if sizes is None:
         open_grown = usual_sizes(
             checked.habit,

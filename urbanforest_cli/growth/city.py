@@ -170,7 +170,6 @@ class Ground:
         settings = growth.model_dump(mode="json", exclude=DECIDED_ELSEWHERE)
         self._settings = json.dumps([__version__, settings], sort_keys=True).encode()
         self._kinds = [json.dumps([kind.id, asdict(kind.growth)], sort_keys=True).encode() for kind in catalogue]
-        self._shades = np.array([[kind.growth.leaf_shade, kind.growth.shade_decay] for kind in catalogue])
 
     def places(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the rows of the site that these plants have."""
@@ -181,8 +180,6 @@ class Ground:
         city, places = self.city, self._place[rows]
         digest = blake2b(self._settings, digest_size=16)
         digest.update(self.site.reach_print(places))
-        neighbours = self.site.neighbours_of(places)  # in the order of their keys
-        digest.update(self._shades[self.site.plants.species[neighbours]].tobytes())
         for row in rows.tolist():
             digest.update(f"\x1f{city.plant_id[row]}\x1e".encode("utf-8", "surrogatepass"))
             digest.update(self._kinds[city.species[row]])
