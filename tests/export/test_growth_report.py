@@ -69,7 +69,7 @@ def test_nothing_that_stands_is_a_page_too():
 
 def test_the_library_is_told_by_the_figures_that_were_counted():
     counts = {"library_compared": 0}
-    assert sum_up_growth(trees([3.0]), [], counts)["library"] == {"compared": 0, "figures": []}
+    assert sum_up_growth(trees([3.0]), [], counts)["library"] == {"compared": 0, "one_dead": 0, "figures": []}
     counts = {"library_compared": 5, "library_crown_shift_m_median": 0.4, "library_crown_shift_m_worst_tenth": 1.1}
     found = sum_up_growth(trees([3.0]), [], counts)["library"]
     assert [row["figure"] for row in found["figures"]] == ["crown_shift_m"]

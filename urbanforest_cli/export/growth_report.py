@@ -16,7 +16,7 @@ Row = dict[str, Any]
 FATES = ("unique", "library", "died", "no_room", "unborn", "out_of_focus")
 FATE_MEANINGS = {
     "unique": "grown in its own place",
-    "library": "stands with the shape of another plant, which grew for many",
+    "library": "stands with a shape of the library: another plant of its kind and place, or its own, grown alone for many",
     **GROW_REASONS,
 }
 QUANTILES = {"p10": 0.1, "median": 0.5, "p90": 0.9}
@@ -126,6 +126,7 @@ def _library(counts: Mapping[str, Any]) -> Row | None:
         return None
     return {
         "compared": counts["library_compared"],
+        "one_dead": counts.get("library_one_dead", 0),
         "figures": [
             {
                 "figure": name,

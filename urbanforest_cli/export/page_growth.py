@@ -53,6 +53,8 @@ def render_growth(growth: Row | None) -> str:
     library = growth.get("library")
     if library:
         parts.append(f"<h3>Library, held against {whole(library['compared'])} plants grown in their own place</h3>")
+        if library["one_dead"]:
+            parts.append(f"<p>{whole(library['one_dead'])} more stand in one of the two and died in the other.</p>")
         parts.append(table(library["figures"], LIBRARY_COLUMNS, none="None could be compared."))
     return "\n".join(parts)
 
