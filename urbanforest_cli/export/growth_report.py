@@ -16,7 +16,7 @@ Row = dict[str, Any]
 FATES = ("unique", "library", "died", "no_room", "unborn", "out_of_focus")
 FATE_MEANINGS = {
     "unique": "grown in its own place",
-    "library": "stands with a shape of the library: another plant of its kind and place, or its own, grown alone for many",
+    "library": "stands with a shape of the library: that of a plant of its kind and place, grown alone for many",
     **GROW_REASONS,
 }
 QUANTILES = {"p10": 0.1, "median": 0.5, "p90": 0.9}
