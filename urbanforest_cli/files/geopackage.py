@@ -247,7 +247,9 @@ def refuse_foreign(path: Path, *, older_too: bool = True) -> None:
     """
     if not path.is_file():
         raise InputError(
-            "no such register", where=path, next_step="make it with `urbanforest stencil CITY.gpkg -o REGISTER.gpkg`"
+            "no such register",
+            where=path,
+            next_step="make it with `urbanforest populate CITY.gpkg`, or with `stencil` its first stage alone",
         )
     with path.open("rb") as stream:
         head = stream.read(72)
