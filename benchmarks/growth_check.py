@@ -8,7 +8,7 @@ trunk diameter is told beside the measured one. Exit code 1 if a species fails.
 
 `--ablation` shows that the check can fail. `light` lets plants sense room alone, so that shade neither slows nor sheds:
 every species fails. `scaled` takes the plants at 10 years, and scaled copies of them for the other ages: all trees
-fail, but not the shrubs whose target hardly changes after 10 years.
+and lilac fail, but not the three shrubs whose proportions hardly change after 10 years.
 """
 
 from __future__ import annotations

@@ -287,7 +287,7 @@ def pruned(catalogue: Catalogue) -> Figure:
     rows.append([_avenue_panel(catalogue)])
     heading = (
         "Pruned trees",
-        "a row of limes every 5 m; \u03b3 is the share of the grown crown that is left at the cut",
+        "a row of limes every 5 m; \u03b3 scales the sides of the box about each grown crown, to which it is cut",
     )
     return draw_sheet(rows, heading)
 

@@ -16,7 +16,6 @@ from urbanforest_cli.core.skeleton import (
     preorder,
     quantise,
     radius_m,
-    season_of_year,
     select,
     standing,
 )
@@ -289,15 +288,6 @@ def test_selecting_what_was_put_together_gives_back_each(thicket):
     assert len(select(thicket, [])) == len(concatenate([])) == len(no_skeletons()) == 0
     no_skeletons().check()
     assert measure(no_skeletons())["height_m"].shape == (0,)
-
-
-def test_years_of_the_city_and_years_ago_name_the_same_season():
-    seasons = np.array([40, 12, 1])
-    assert season_of_year(seasons, 40, newest=40).tolist() == [40, 12, 1]
-    assert season_of_year(seasons, 30, newest=40).tolist() == [30, 2, -9]
-    assert season_of_year(seasons, -10, newest=40).tolist() == [30, 2, -9]
-    assert season_of_year(seasons, 0, newest=40).tolist() == [0, -28, -39]
-    assert season_of_year(seasons, 99, newest=40).tolist() == [40, 12, 1], "nothing is known of years to come"
 
 
 @pytest.mark.parametrize(

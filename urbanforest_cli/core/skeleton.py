@@ -224,27 +224,6 @@ def metres(xyz_steps: NDArray[np.int16]) -> NDArray[np.float32]:
     return (xyz_steps * POSITION_STEP_M).astype(np.float32)
 
 
-def season_of_year(seasons: NDArray[np.integer], year: float, newest: int) -> NDArray[np.int32]:
-    """Return the season whose end is a year of the city, for each plant.
-
-    Parameters
-    ----------
-    seasons
-        (s,) how many seasons each plant has lived through today.
-    year
-        From 0 up: years since the oldest plant of the city was planted. Below 0: years before today.
-    newest
-        Largest number of seasons of any plant of the city: its year today.
-
-    Returns
-    -------
-    (s,) int32
-        At most `seasons`, for nothing is known of years to come; below 0 where a plant was not yet planted.
-    """
-    ago = -year if year < 0 else newest - year
-    return (np.asarray(seasons, np.int64) - max(0, int(np.ceil(ago)))).astype(np.int32)
-
-
 def standing(skeletons: Skeletons, season_end: NDArray[np.integer] | None = None) -> NDArray[np.bool_]:
     """Tell of each node whether it stood at the end of a season (s,), by default the last."""
     season = np.repeat(_season_end(skeletons, season_end), skeletons.node_counts())
