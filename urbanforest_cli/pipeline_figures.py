@@ -335,16 +335,16 @@ def vegetation_lots_page(catalogue: Catalogue) -> Figure:
 
 def _street_picture(config: Config, catalogue: Catalogue) -> LotPicture:
     """Draw a crossing with strips of trees at both sides of each street, placed along their medial axes."""
-    roads = shapes(shapely.LineString([(0, 40), (60, 46), (130, 44)]), shapely.LineString([(64, 0), (64, 95)]))
-    widths = np.array([9.0, 9.0])
-    carriageway = shapely.union_all(shapely.buffer(roads, widths / 2 + 0.75))
-    planted = shapely.difference(shapely.union_all(shapely.buffer(roads, widths / 2 + 4.0)), carriageway)
+    lines = shapes(shapely.LineString([(0, 40), (60, 46), (130, 44)]), shapely.LineString([(64, 0), (64, 95)]))
+    carriageway = shapely.union_all(shapely.buffer(lines, 4.5 + 0.75))
+    planted = shapely.difference(shapely.union_all(shapely.buffer(lines, 4.5 + 4.0)), carriageway)
+    roads = shapely.buffer(lines, 4.5)
     strips: Shapes = shapely.get_parts(shapely.intersection(planted, shapely.box(2, 2, 126, 93)))
     values = {key: float(config.zone_value("street", key)) for key in PARAMETERS}
     given = repeated(values, len(strips), spacing_m=13.0, density=1.0)
     planting = plant_lots(strips, shapes(), "equidistant", given, config=config, catalogue=catalogue)
     note = f"{len(planting.crowns)} plants, delta 13"
-    return _picture(planting, "street, equidistant", note, shapes(), zone="street", roads=roads, road_width_m=widths)
+    return _picture(planting, "street, equidistant", note, shapes(), zone="street", roads=roads)
 
 
 Page = Callable[[Catalogue], Figure]

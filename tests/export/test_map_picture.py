@@ -24,8 +24,7 @@ def layers(width_m: float = 100, height_m: float = 100, plants: int = 4) -> MapL
         species=SPECIES,
         buildings=np.array([shapely.box(half + 5, 5, half + 10, 10)], dtype=object),
         building_height_m=np.array([9.0]),
-        roads=np.array([shapely.LineString([(0, -3), (width_m, -3)])], dtype=object),
-        road_width_m=np.array([6.0]),
+        roads=np.array([shapely.box(0, -6, width_m, 0)], dtype=object),
     )
 
 

@@ -16,7 +16,7 @@ from urbanforest_cli.core.params import PARAMETERS
 if TYPE_CHECKING:
     import pandas as pd
 
-REGISTER_VERSION = 2
+REGISTER_VERSION = 3
 OLDEST_YEARS = 5000.0
 RESOLVED_PREFIX = "resolved_"
 
@@ -115,6 +115,13 @@ LAYERS: dict[str, Layer] = {
             columns={
                 "building_id": Column("text", "the building's own id, or its row in the city's layer"),
                 "height_m": Column("number", "height of the walls, empty where unknown", nullable=True, low=0),
+            },
+        ),
+        Layer(
+            "roads", "stencil", "surfaces of roads, lines widened to their width", geometry="MultiPolygon",
+            columns={
+                "road_id": Column("text", "the road's own id, or its row in the city's layer"),
+                "width_m": Column("number", "width, 0 of a road that came as a polygon", low=0),
             },
         ),
         Layer(

@@ -152,23 +152,14 @@ def shown_polygons(pane: Pane, polygons: NDArray[np.object_]) -> NDArray[np.obje
     return np.asarray(shapely.simplify(seen, tolerance_m, preserve_topology=False)) if tolerance_m > 0.2 else seen
 
 
-def draw_roads(
-    pane: Pane, roads: NDArray[np.object_], width_m: FloatArray, *, fill: str, casing: str, z: float
-) -> None:
-    """Draw roads at their width with a fine casing; polygons as they are."""
+def draw_roads(pane: Pane, roads: NDArray[np.object_], *, fill: str, casing: str, z: float) -> None:
+    """Draw surfaces of roads with a fine casing around all of them together."""
     if len(roads) == 0:
         return
-    is_area = np.isin(shapely.get_type_id(roads), (3, 6))
+    surfaces = shapely.orient_polygons(roads)  # those that overlap are then filled, not cut out
     casing_px = min(1.0, 2.5 * pane.px_per_m)
-    fill_polygons(pane, roads[is_area], fill, edge=casing, edge_px=casing_px, z=z)
-    lines, widths = roads[~is_area], np.round(np.maximum(width_m[~is_area], 0.5) * 2) / 2
-    for grow_px, colour, level in ((2 * casing_px, casing, z), (0.0, fill, z + 0.02)):
-        for width in np.unique(widths):
-            points = pane.points(max(width * pane.px_per_m, 0.6) + grow_px)
-            for path in line_paths(lines[widths == width]):
-                patch = PathPatch(path, facecolor="none", edgecolor=colour, linewidth=points, capstyle="round",
-                                  joinstyle="round", zorder=level)  # fmt: skip
-                pane.axes.add_artist(patch)
+    fill_polygons(pane, surfaces, casing, edge=casing, edge_px=2 * casing_px, z=z)
+    fill_polygons(pane, surfaces, fill, edge=fill, edge_px=0.3, z=z + 0.02)
 
 
 def cast_shadows(pane: Pane, polygons: NDArray[np.object_], height_m: FloatArray, *, alpha: float, z: float) -> None:

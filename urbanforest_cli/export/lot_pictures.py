@@ -60,7 +60,7 @@ class LotPicture:
         The ground where plants may stand, or None.
     envelope
         Ground kept free around buildings, or None.
-    neighbours, buildings, building_height_m, roads, road_width_m
+    neighbours, buildings, building_height_m, roads
         What lies around and on the lots.
     """
 
@@ -76,7 +76,6 @@ class LotPicture:
     buildings: NDArray[np.object_] = field(default_factory=_no_shapes)
     building_height_m: NDArray[np.float64] = field(default_factory=_no_numbers)
     roads: NDArray[np.object_] = field(default_factory=_no_shapes)
-    road_width_m: NDArray[np.float64] = field(default_factory=_no_numbers)
 
 
 def typical_lots(frame: pd.DataFrame, count: int = LOTS_SHOWN) -> list[int]:
@@ -220,7 +219,7 @@ def _draw_lot(figure: Figure, picture: LotPicture, box_px: Bounds) -> Pane:
     rim = 0.06 * max(east - west, north - south) + 2.0
     pane = make_pane(figure, box_px, (west - rim, south - rim, east + rim, north + rim), GROUND)
     fill_polygons(pane, picture.neighbours, mixed(GROUND, "#ffffff", 0.45), edge="#dedad1", edge_px=1.0, z=1.0)
-    draw_roads(pane, picture.roads, picture.road_width_m, fill=ROAD_FILL, casing=ROAD_CASING, z=1.5)
+    draw_roads(pane, picture.roads, fill=ROAD_FILL, casing=ROAD_CASING, z=1.5)
     fill_polygons(pane, picture.lots, picture.colour, z=2.0)
     if picture.area is not None:
         area = np.array([picture.area], dtype=object)

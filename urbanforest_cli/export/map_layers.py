@@ -42,8 +42,8 @@ class MapLayers:
         (n,) polygons and the index of each one's zone in `zones`.
     plant_xy, plant_radius_m, plant_species
         (m, 2) positions, (m,) radii, 0 where nothing is to be drawn, and indices into `species`.
-    buildings, building_height_m, roads, road_width_m
-        Polygons with heights, lines or polygons with widths.
+    buildings, building_height_m, roads
+        Polygons with heights, and surfaces.
     """
 
     lots: NDArray[np.object_]
@@ -56,7 +56,6 @@ class MapLayers:
     buildings: NDArray[np.object_] = field(default_factory=lambda: np.empty(0, dtype=object))
     building_height_m: FloatArray = field(default_factory=lambda: np.empty(0))
     roads: NDArray[np.object_] = field(default_factory=lambda: np.empty(0, dtype=object))
-    road_width_m: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def crowns(self) -> Crowns:
         """Return the plants as crowns in their species' colours."""

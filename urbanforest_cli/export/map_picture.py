@@ -94,7 +94,7 @@ def draw_ground(pane: Pane, layers: MapLayers) -> None:
         z = 1.0 if layers.zones[number].name == STREET_ZONE else 3.0
         lots = layers.lots[layers.lot_zone == number]
         fill_polygons(pane, lots, colour, edge=mixed(colour, "#6f6a60", 0.32), edge_px=edge_px, z=z)
-    draw_roads(pane, layers.roads, layers.road_width_m, fill=ROAD_FILL, casing=ROAD_CASING, z=2.0)
+    draw_roads(pane, layers.roads, fill=ROAD_FILL, casing=ROAD_CASING, z=2.0)
     cast_shadows(pane, layers.buildings, layers.building_height_m, alpha=0.28, z=3.5)
     building_edge_px = min(1.6, 2.2 * pane.px_per_m) if pane.px_per_m > 0.2 else 0.0
     fill_polygons(pane, layers.buildings, BUILDING_FILL, edge=BUILDING_EDGE, edge_px=building_edge_px, z=4.0)

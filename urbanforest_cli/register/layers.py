@@ -104,6 +104,14 @@ def roads_of(frame: gpd.GeoDataFrame, project: Project, rules: Rules, notices: N
     return Roads(shapes, np.where(lines, widths, 0.0), _road_ids(frame)[row], kinds[row])
 
 
+def road_surfaces(roads: Roads) -> Shapes:
+    """Return the ground that roads take: lines widened to their width, polygons as they are."""
+    wide = roads.widths_m > 0
+    surfaces = roads.shapes.copy()
+    surfaces[wide] = shapely.buffer(roads.shapes[wide], roads.widths_m[wide] / 2, quad_segs=4)
+    return surfaces
+
+
 def _road_ids(frame: gpd.GeoDataFrame) -> NDArray[np.object_]:
     for name in ROAD_ID_COLUMNS:
         if name in frame and frame[name].notna().all() and frame[name].is_unique:

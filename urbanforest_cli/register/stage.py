@@ -34,6 +34,7 @@ from urbanforest_cli.register.layers import (
     Buildings,
     buildings_of,
     plain_columns,
+    road_surfaces,
     roads_of,
     surroundings_of,
 )
@@ -117,8 +118,9 @@ def stencil_city(
 
     Reads layer ``lots`` (or the only polygon layer of a file without one) and, where they are, ``buildings``,
     ``roads``, ``driveways``, ``entrances``, ``obstacles`` and ``sketches``. Writes a fresh register with ``lots``,
-    ``active_areas``, ``parameters``, ``buildings``, ``skipped`` and ``provenance``, in the CRS of the lots. Every row
-    of ``lots`` is either in ``active_areas`` or, with a reason, in ``skipped``; buildings outside all lots are kept.
+    ``active_areas``, ``parameters``, ``buildings``, ``roads``, ``skipped`` and ``provenance``, in the CRS of the
+    lots. Every row of ``lots`` is either in ``active_areas`` or, with a reason, in ``skipped``; buildings outside all
+    lots are kept.
 
     Raises
     ------
@@ -178,7 +180,7 @@ def stencil_city(
         counts=dict(summary.counts),
         notices=notices,
     )
-    tables = _tables(attributes, whole, ground, skipped, buildings, lots)
+    tables = _tables(attributes, whole, ground, skipped, buildings, roads, lots)
     write_layers(register, {**tables, "provenance": pd.DataFrame([record.as_row()])}, fresh=True)
     progress("writing the register", 1, 1)
     summary.seconds = time.perf_counter() - started
@@ -278,7 +280,13 @@ def _counts(
 
 
 def _tables(
-    attributes: pd.DataFrame, whole: Units, ground: Ground, skipped: pd.DataFrame, buildings: Buildings, lots: Lots
+    attributes: pd.DataFrame,
+    whole: Units,
+    ground: Ground,
+    skipped: pd.DataFrame,
+    buildings: Buildings,
+    roads: Roads,
+    lots: Lots,
 ) -> dict[str, pd.DataFrame]:
     areas = ground.areas
     there = ~shapely.is_missing(areas)
@@ -308,10 +316,16 @@ def _tables(
         geometry=lots.back(buildings.shapes),
         crs=lots.crs,
     )
+    surfaces = gpd.GeoDataFrame(
+        {"road_id": roads.ids.astype(str), "width_m": roads.widths_m},
+        geometry=lots.back(road_surfaces(roads)),
+        crs=lots.crs,
+    )
     return {
         "lots": register_lots,
         "active_areas": active,
         "parameters": parameters,
         "buildings": built,
+        "roads": surfaces,
         "skipped": skipped,
     }
