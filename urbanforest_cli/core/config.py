@@ -178,6 +178,15 @@ class Export(Section):
     """What is written beside the register."""
 
     map_width_px: Annotated[int, Field(strict=True, ge=200, le=20000)] = Field(2400, description="width of map.png")
+    view_width_px: Annotated[int, Field(strict=True, ge=200, le=8000)] = Field(1600, description="width of view.png")
+    view_height_px: Annotated[int, Field(strict=True, ge=200, le=8000)] = Field(1000, description="height of view.png")
+    detail: Literal["full", "high", "medium", "low", "billboard", "point"] | None = Field(
+        None, description="level of detail of plants in 3D files; each format's own if unset"
+    )
+    prototypes_max: Annotated[int, Field(strict=True, ge=1, le=1_000_000)] | None = Field(
+        None, description="most shapes of plants that a 3D file stores; each format's own if unset"
+    )
+    season: Literal["spring", "summer", "autumn", "winter"] = Field("summer", description="season that plants show")
 
 
 _RULE_OVERRIDES: dict[str, Any] = {
