@@ -1,0 +1,1 @@
+"""From skeletons to triangles: wood, leaves, textures, and coarser versions of all."""
