@@ -1,0 +1,1 @@
+"""A planted city as one scene: arrays of plants, the shapes they share, buildings and ground."""
