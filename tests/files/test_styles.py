@@ -178,6 +178,16 @@ def test_the_tip_of_a_grown_plant_names_columns_that_are_there(grown):
     assert tip.text.count("[%") == tip.text.count("%]") > 3
 
 
+def test_roads_of_a_register_are_filled_without_an_outline(tmp_path):
+    road = gpd.GeoDataFrame(
+        {"road_id": ["r"], "width_m": [6.0]}, geometry=[shapely.MultiPolygon([shapely.box(0, 0, 9, 6)])], crs=CRS
+    )
+    write_layers(tmp_path / "register.gpkg", {"roads": road}, fresh=True)
+    roads = style(tmp_path / "register.gpkg", "roads")
+    assert list(colours_by_value(roads)) == [""]
+    assert roads.find(".//prop[@k='outline_style']").get("v") == "no"
+
+
 def test_buildings_of_a_register_are_filled_without_labels(grown):
     buildings = style(grown, "buildings")
     assert list(colours_by_value(buildings)) == [""]

@@ -3,38 +3,129 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from urbanforest_cli.core.errors import InputError
 from urbanforest_cli.files import skeletons
 from urbanforest_cli.files.geopackage import layer_names, refuse_foreign
+from urbanforest_cli.files.manifest import MANIFEST, manifest_faults, read_manifest
 from urbanforest_cli.files.provenance import read_records
 from urbanforest_cli.files.skeleton_parts import named_parts, parts_folder
 
-HEAD_BYTES = 65536
-
 
 def describe_output(path: Path) -> dict[str, object]:
-    """Return the provenance of a file this program wrote.
+    """Return the provenance of a file or a folder this program wrote.
 
     Raises
     ------
     InputError
-        The file is not there, or carries no provenance of this program.
+        It is not there, or carries no provenance of this program.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError("no such file", where=path)
-    reader = READERS.get(path.suffix.lower())
+    reader = _reader_of(path)
     record = reader(path) if reader else None
     if record is None:
         raise InputError(
             "no provenance of urbanforest inside",
             where=path,
-            expected="a register, skeletons (.parquet), plants.geojson, report.json, report.html or a picture "
-            "written by urbanforest",
+            expected="a register, exports.json, a report, a picture, skeletons, or what `urbanforest export` wrote",
         )
-    return record
+    return dict(record)
+
+
+def _reader_of(path: Path) -> Reader | None:
+    """Return what reads an output, by its name; of a folder, by what is in it."""
+    if path.is_dir():
+        return next((BY_NAME[name] for name in FOLDERS if (path / name).is_file()), None)
+    name = path.name.casefold()
+    ends = (end for end in sorted(BY_NAME, key=len, reverse=True) if name.endswith(end))
+    return next((BY_NAME[end] for end in ends), None)
+
+
+def _of_tiles(path: Path) -> dict[str, object] | None:
+    from urbanforest_cli.files import tiles3d_reader
+
+    return _named(path, tiles3d_reader.read_provenance(path))
+
+
+def _of_gltf(path: Path) -> dict[str, object] | None:
+    from urbanforest_cli.files import gltf_reader
+
+    return _named(path, gltf_reader.read_provenance(path))
+
+
+def _of_cityjson(path: Path) -> dict[str, object] | None:
+    from urbanforest_cli.files import cityjson_reader
+
+    return _named(path, cityjson_reader.read_provenance(path))
+
+
+def _of_library(path: Path) -> dict[str, object] | None:
+    from urbanforest_cli.files import obj
+
+    return _named(path, obj.read_provenance(path if path.is_dir() else path.parent))
+
+
+def _of_inventory(path: Path) -> dict[str, object] | None:
+    from urbanforest_cli.files import itree
+
+    return _named(path, itree.read_provenance(path))
+
+
+def _of_raster(path: Path) -> dict[str, object] | None:
+    from urbanforest_cli.files import canopy
+
+    return _named(path, canopy.read_provenance(path))
+
+
+def _of_geopackage(path: Path) -> dict[str, object] | None:
+    """Tell of a register, or of exported plants, which have no table of stages but a record of their own."""
+    from urbanforest_cli.files import plant_tables
+
+    try:
+        refuse_foreign(path)
+    except InputError:
+        record = plant_tables.read_gpkg_provenance(path)
+        if record is None:
+            raise
+        return _named(path, record)
+    return _register(path)
+
+
+def _of_parquet(path: Path) -> dict[str, object] | None:
+    """Tell of skeletons, or of exported plants, which say that they are GeoParquet."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from urbanforest_cli.files import plant_tables
+
+    try:
+        is_geographic = b"geo" in (pq.read_schema(path).metadata or {})
+    except (OSError, pa.ArrowException):  # told of by what reads it next
+        is_geographic = False
+    return _named(path, plant_tables.read_parquet_provenance(path)) if is_geographic else skeletons.describe(path)
+
+
+def _of_manifest(path: Path) -> dict[str, object]:
+    if faults := manifest_faults(path.parent):
+        raise InputError("the list of outputs is torn", where=path, found="; ".join(faults))
+    outputs: dict[str, object] = {}
+    for name, export in read_manifest(path.parent).items():
+        outputs[name] = {
+            "format": export.format,
+            "key": export.key,
+            "growth": export.growth,
+            "options": dict(export.options),
+            "files": len(export.files),
+            "bytes": sum(file.bytes for file in export.files.values()),
+        }
+    return {"file": path.name, "outputs": outputs}
+
+
+def _named(path: Path, record: Mapping[str, object] | None) -> dict[str, object] | None:
+    return {"file": path.name, **record} if record is not None else None
 
 
 def _register(path: Path) -> dict[str, object]:
@@ -63,10 +154,6 @@ def _register(path: Path) -> dict[str, object]:
             ),
         }  # fmt: skip
     return found
-
-
-def _skeletons(path: Path) -> dict[str, object]:
-    return skeletons.describe(path)
 
 
 def _json(path: Path) -> dict[str, object] | None:
@@ -99,12 +186,23 @@ def _page(path: Path) -> dict[str, object] | None:
     return {"file": path.name, **record}
 
 
-READERS: dict[str, Callable[[Path], dict[str, object] | None]] = {
-    ".gpkg": _register,
-    ".parquet": _skeletons,
+Reader = Callable[[Path], Mapping[str, object] | None]
+BY_NAME: dict[str, Reader] = {
+    ".gpkg": _of_geopackage,
+    ".parquet": _of_parquet,
+    ".glb": _of_gltf,
+    ".city.json": _of_cityjson,
+    ".city.jsonl": _of_cityjson,
+    ".tif": _of_raster,
+    ".csv": _of_inventory,
+    "tileset.json": _of_tiles,
+    "placements.csv": _of_library,
+    MANIFEST: _of_manifest,
     ".geojson": _json,
     ".json": _json,
     ".png": _picture,
     ".html": _page,
 }
-"""How each kind of file tells of itself, by its suffix."""
+"""How each kind of file tells of itself, by the end of its name, the longest first."""
+FOLDERS = ("tileset.json", "placements.csv")
+"""What tells of a folder that holds it."""

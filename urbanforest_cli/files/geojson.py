@@ -1,4 +1,4 @@
-"""GeoJSON of points (RFC 7946): longitude and latitude, seven decimals, one feature a line."""
+"""GeoJSON of plants as points (RFC 7946): longitude and latitude, seven decimals, one feature a line."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from typing import Any, BinaryIO
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from pyproj import CRS
 
-from urbanforest_cli.core.errors import OutputError
+from urbanforest_cli.core.errors import InputError, OutputError
+from urbanforest_cli.core.placed import PlacedPlants
 from urbanforest_cli.core.publish import publish
 
 CHUNK_ROWS = 50_000
@@ -111,6 +113,37 @@ def bounding_box(degrees: NDArray[np.float64]) -> list[float]:
     if east - west > 180:
         west, east = longitude[longitude > 0].min(), longitude[longitude < 0].max()
     return [round(float(value), 7) for value in (west, latitude.min(), east, latitude.max())]
+
+
+def read_plants(path: Path) -> PlacedPlants:
+    """Read the plants of a plants.geojson; those that do not stand have no height.
+
+    Raises
+    ------
+    InputError
+        Not there, or not a collection of points with plant ids.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        features = content["features"]
+        ids = [feature["properties"]["plant_id"] for feature in features]
+        places = [feature["geometry"]["coordinates"][:2] for feature in features]
+        heights = [feature["properties"].get("height_m") for feature in features]
+        degrees = np.array(places, dtype=np.float64).reshape(len(ids), 2)
+        height_m = np.array(heights, dtype=np.float64)
+    except OSError as error:
+        raise InputError("the file cannot be read", where=path, found=error.strerror) from error
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise InputError(
+            "not a whole GeoJSON of plants", where=path, found=f"{type(error).__name__}: {error}",
+            expected="a collection of points with plant_id", next_step="export it again",
+        ) from error  # fmt: skip
+    return PlacedPlants(
+        plant_id=np.array([str(name) for name in ids], dtype=object),
+        xyz_m=np.column_stack([degrees, np.zeros(len(degrees))]),
+        crs=CRS.from_epsg(4326),
+        height_m=height_m,
+    )
 
 
 def _feature_lines(path: Path) -> int:

@@ -78,6 +78,22 @@ def write_styles(path: Path, layers: list[str]) -> None:
                 _replace_style(register, name, _STYLES[name][1](register, config))
 
 
+def write_crowns_style(path: Path, layer: str, categories: Sequence[Category]) -> None:
+    """Write the default style of a layer of grown plants that is not a register's: crowns as wide as they are.
+
+    Parameters
+    ----------
+    categories
+        Id, label and colour of each species.
+    """
+    symbol = partial(_crown_symbol, radius="crown_radius_m")
+    rest = ("#6f8f5f", "any other species")
+    qml = _qml("species", categories, symbol, rest=rest, order_by="height_m", tip=TREE_TIP)
+    with closing(sqlite3.connect(path)) as register, register:
+        _make_table(register)
+        _replace_style(register, layer, qml)
+
+
 def _can_be_styled(register: sqlite3.Connection, name: str) -> bool:
     columns = {row[0] for row in register.execute("SELECT name FROM pragma_table_info(?)", (name,))}
     return {_STYLES[name][0], GEOMETRY_COLUMN} <= columns
@@ -175,6 +191,10 @@ def _buildings_style(register: sqlite3.Connection, config: Mapping[str, Any]) ->
     return _qml("building_id", [], _building_symbol, rest=("#d9d5cc", "buildings"))
 
 
+def _roads_style(register: sqlite3.Connection, config: Mapping[str, Any]) -> str:
+    return _qml("road_id", [], _road_symbol, rest=("#e9e7e2", "roads"))
+
+
 def _species_categories(register: sqlite3.Connection, config: Mapping[str, Any], layer: str) -> list[Category]:
     try:
         table = config.get("species") or {}
@@ -193,9 +213,10 @@ def _species_categories(register: sqlite3.Connection, config: Mapping[str, Any],
 _STYLES: dict[str, tuple[str, Callable[[sqlite3.Connection, Mapping[str, Any]], str]]] = {
     "lots": ("zone", _lots_style),
     "active_areas": ("kind", _active_areas_style),
-    "plants": ("species", _plants_style),
+    "plants": ("envelope_radius_m", _plants_style),
     "trees": ("crown_radius_m", _trees_style),
     "buildings": ("building_id", _buildings_style),
+    "roads": ("road_id", _roads_style),
 }
 """For each layer the column without which it cannot be styled, and what makes its style."""
 
@@ -293,6 +314,11 @@ def _building_symbol(name: str, colour: str) -> str:
         "color": _rgba(colour), "style": "solid", "outline_color": _rgba(mixed(colour, "#4a463e", 0.6)),
         "outline_style": "solid", "outline_width": "0.2", "outline_width_unit": "MM", "joinstyle": "miter",
     }  # fmt: skip
+    return _symbol(name, "fill", "SimpleFill", options)
+
+
+def _road_symbol(name: str, colour: str) -> str:
+    options = {"color": _rgba(colour), "style": "solid", "outline_style": "no"}
     return _symbol(name, "fill", "SimpleFill", options)
 
 
