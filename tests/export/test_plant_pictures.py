@@ -8,7 +8,6 @@ from urbanforest_cli.core import config as settings
 from urbanforest_cli.core.colours import to_rgb
 from urbanforest_cli.core.skeleton import Skeletons
 from urbanforest_cli.export.plant_camera import side_view, view_from, view_onto
-from urbanforest_cli.export.plant_light_kernel import Shade, clear_share, light_of_points
 from urbanforest_cli.export.plant_looks import LOOKS, look_of
 from urbanforest_cli.export.plant_pictures import Backdrop, Scene, render, shade_of
 from urbanforest_cli.export.plant_scene import (
@@ -21,12 +20,15 @@ from urbanforest_cli.export.plant_scene import (
     joined_wood,
 )
 from urbanforest_cli.export.plant_sheets import Label, Panel, draw_sheet
-from urbanforest_cli.export.plant_town import build_person, build_slabs, build_walls
+from urbanforest_cli.export.plant_town import Faces, build_person, build_slabs, build_walls
+from urbanforest_cli.export.view.draw import LEAF_EXTINCTION
+from urbanforest_cli.export.view.light_kernel import leaf_depth
+from urbanforest_cli.export.view.models import build_models, place_models
 from urbanforest_cli.files.species import load_catalogue
 
 LOOK = Look(leaf=(0.25, 0.4, 0.15), leaf_young=(0.4, 0.55, 0.2), bark=(0.4, 0.36, 0.32))
 PLAIN = Backdrop((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), None)
-UP, NOWHERE = np.array([0.0, 0.0, 1.0]), np.empty((0, 3))
+STEEP = np.array([0.1, 0.0, 0.995])
 
 
 def tree(number=1, seasons=9):
@@ -199,29 +201,30 @@ def test_leaves_stay_by_their_twigs():
     assert away.max() < np.linalg.norm(twigs.tip - twigs.base, axis=1).max() + 0.2 + look.blade_m[0]
 
 
-def test_light_fades_as_beer_and_lambert_say():
-    shade = Shade(np.full((20, 4, 4), 0.3, np.float32), np.zeros(3), 0.5)
-    assert clear_share(shade, 1.0, 1.0, 5.0, 0.0, 0.0, 1.0, 0.25, 40.0) == pytest.approx(np.exp(-0.3 * 5.0))
-    assert clear_share(shade, 1.0, 1.0, 9.9, 1.0, 0.0, 0.0, 30.0, 40.0) == 1.0
+def placed(seasons=9, **more):
+    look = replace(LOOK, **more)
+    skeleton = tree(seasons=seasons)
+    models = build_models(skeleton, skeleton.seasons, [look], shortest_m=np.zeros(1), thinnest_m=np.zeros(1))
+    return models, place_models(models, np.zeros(1, int), np.zeros((1, 3)))
 
 
 def test_leaves_are_darker_inside_and_below():
-    wood, twigs = build_wood(planted(tree(seasons=12)))
-    leaves = build_leaves(twigs, [replace(LOOK, leaf_area_index=6.0)])
-    shade = shade_of(wood, leaves, np.empty(0, object), np.empty(0))
-    light = light_of_points(shade, leaves.centre.astype(float), UP, UP[None], 0.6, 20.0, 0.0)[:, 0]
-    height = leaves.centre[:, 2]
-    inner = np.hypot(leaves.centre[:, 0], leaves.centre[:, 1]) < 1.0
+    models, instances = placed(seasons=12, leaf_area_index=6.0)
+    ring = shade_of([(models, instances)], Faces(), STEEP)
+    centre = models.leaf[:, :3].astype(float)
+    light = np.exp([-leaf_depth(ring, *(point + 0.6 * STEEP)) for point in centre])
+    height = centre[:, 2]
+    inner = np.hypot(centre[:, 0], centre[:, 1]) < 1.0
     assert light[inner & (height < 3.0)].mean() < 0.6 * light[height > 5.0].mean()
 
 
 def test_a_crown_counts_once_in_the_shade():
-    wood, twigs = build_wood(planted())
-    leaves = build_leaves(twigs, [LOOK])
-    bare, leafy = (shade_of(wood, item, np.empty(0, object), np.empty(0)) for item in (None, leaves))
-    total = leafy.density.sum() * leafy.cell_m**3
-    wood_alone = bare.density.sum() * bare.cell_m**3
-    assert total - wood_alone == pytest.approx(0.5 * leaves.area_m2.sum(), rel=1e-3)
+    models, instances = placed()
+    bare = instances._replace(leaf_count=np.zeros(1, np.int64))
+    with_leaves, without = (shade_of([(models, item)], Faces(), STEEP) for item in (instances, bare))
+    more = (with_leaves.shade[0].sum() - without.shade[0].sum()) * with_leaves.cell**2
+    area = float(models.leaf_area[0]) * len(models.leaf)
+    assert more == pytest.approx(LEAF_EXTINCTION * area, rel=0.02)
 
 
 def test_a_house_casts_its_shadow_to_the_right():

@@ -1,4 +1,4 @@
-"""A small software rasteriser: ground, walls, tapered branches and leaves into one z-buffer.
+"""A small software rasteriser with light given: tapered branches and leaves into one z-buffer, for baked pictures.
 
 Positions are in the camera's own frame: x and y in pixels from the upper left corner, y downward; depth in metres away
 from the viewer, the smallest wins. Vectors have x to the right, y up and z toward the viewer. Colours are linear light.
@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from urbanforest_cli.export.plant_light_kernel import chance, clear_share, hash_pair
+from urbanforest_cli.export.plant_light_kernel import chance, hash_pair
 
 BARK_STREAK_PX = 3.0  # stems narrower than this show no streaks
 
@@ -132,108 +132,3 @@ def draw_leaves(canvas, at, along, across, rgb, light, sun, sun_power, sky_power
                 canvas.rgb[row, column, 0] = red * power
                 canvas.rgb[row, column, 1] = green * power
                 canvas.rgb[row, column, 2] = blue * power
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def draw_triangles(canvas, corners, uv, world, normal, rgb, shade, sun_world, sun_power, sky_power, perspective):
-    """Draw flat faces, each pixel lit through the shade around it.
-
-    `corners` (n, 3, 3): x, y, depth; `uv` (n, 3, 2) metres along and up a wall, for its windows, or negative for none;
-    `world` (n, 3, 3) and `normal` (n, 3) in metres of the scene; `rgb` (n, 3).
-    """
-    height, width = canvas.depth.shape
-    for n in range(len(corners)):
-        x0, y0, z0 = corners[n, 0]
-        x1, y1, z1 = corners[n, 1]
-        x2, y2, z2 = corners[n, 2]
-        if min(z0, z1, z2) <= 0.05:
-            continue
-        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        if abs(area) < 1e-9:
-            continue
-        left, right = max(int(min(x0, x1, x2)), 0), min(int(max(x0, x1, x2)) + 1, width - 1)
-        top, bottom = max(int(min(y0, y1, y2)), 0), min(int(max(y0, y1, y2)) + 1, height - 1)
-        facing = normal[n, 0] * sun_world[0] + normal[n, 1] * sun_world[1] + normal[n, 2] * sun_world[2]
-        openness = 0.72 + 0.28 * normal[n, 2]
-        for row in range(top, bottom + 1):
-            for column in range(left, right + 1):
-                px, py = column + 0.5, row + 0.5
-                w0 = ((x1 - px) * (y2 - py) - (x2 - px) * (y1 - py)) / area
-                w1 = ((x2 - px) * (y0 - py) - (x0 - px) * (y2 - py)) / area
-                w2 = 1.0 - w0 - w1
-                if w0 < 0 or w1 < 0 or w2 < 0:
-                    continue
-                if perspective:
-                    w0, w1, w2 = w0 / z0, w1 / z1, w2 / z2
-                    total = w0 + w1 + w2
-                    w0, w1, w2 = w0 / total, w1 / total, w2 / total
-                depth = w0 * z0 + w1 * z1 + w2 * z2
-                if depth >= canvas.depth[row, column]:
-                    continue
-                wx = w0 * world[n, 0, 0] + w1 * world[n, 1, 0] + w2 * world[n, 2, 0]
-                wy = w0 * world[n, 0, 1] + w1 * world[n, 1, 1] + w2 * world[n, 2, 1]
-                wz = w0 * world[n, 0, 2] + w1 * world[n, 1, 2] + w2 * world[n, 2, 2]
-                power = sky_power * openness
-                if facing > 0:
-                    start = shade.cell_m * (1.2 + chance(hash_pair(row * width + column, 3)))
-                    clear = clear_share(shade, wx, wy, wz, sun_world[0], sun_world[1], sun_world[2], start, 40.0)
-                    power += sun_power * facing * clear
-                glass = 1.0
-                if uv[n, 0, 0] >= 0:
-                    u = w0 * uv[n, 0, 0] + w1 * uv[n, 1, 0] + w2 * uv[n, 2, 0]
-                    v = w0 * uv[n, 0, 1] + w1 * uv[n, 1, 1] + w2 * uv[n, 2, 1]
-                    bay, floor = u % 3.0, v % 3.0
-                    if 0.95 < bay < 2.05 and 0.95 < floor < 2.35:
-                        glass = 0.80
-                    power *= 0.86 + 0.14 * min(v / 4.0, 1.0)
-                canvas.depth[row, column] = depth
-                for c in range(3):
-                    canvas.rgb[row, column, c] = rgb[n, c] * power * glass
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def draw_ground(canvas, axes, eye, focal_px, is_perspective, middle_px, rgb, shade, sun_world, sun_power, sky_power,
-                centre, fade_m):  # fmt: skip
-    """Draw the plane z = 0 under all that stands, shadows on it, fading into what was there before.
-
-    `axes` (3, 3) rows right, up, toward the viewer; `centre` (2,) and `fade_m` (2,): half widths of what is drawn,
-    along the picture and into it.
-    """
-    height, width = canvas.depth.shape
-    for row in range(height):
-        for column in range(width):
-            a, b = (column + 0.5 - middle_px[0]) / focal_px, (middle_px[1] - row - 0.5) / focal_px
-            if is_perspective:
-                ox, oy, oz = eye[0], eye[1], eye[2]
-                dx = axes[0, 0] * a + axes[1, 0] * b - axes[2, 0]
-                dy = axes[0, 1] * a + axes[1, 1] * b - axes[2, 1]
-                dz = axes[0, 2] * a + axes[1, 2] * b - axes[2, 2]
-            else:
-                ox = eye[0] + axes[0, 0] * a + axes[1, 0] * b
-                oy = eye[1] + axes[0, 1] * a + axes[1, 1] * b
-                oz = eye[2] + axes[0, 2] * a + axes[1, 2] * b
-                dx, dy, dz = -axes[2, 0], -axes[2, 1], -axes[2, 2]
-            if dz > -1e-6:
-                continue
-            far = -oz / dz
-            if far <= 0.05 or far >= canvas.depth[row, column]:
-                continue
-            x, y = ox + dx * far, oy + dy * far
-            gx, gy = x - centre[0], y - centre[1]
-            side = abs(gx * axes[0, 0] + gy * axes[0, 1]) / fade_m[0]
-            deep = abs(gx * axes[2, 0] + gy * axes[2, 1]) / np.sqrt(1.0 - axes[2, 2] ** 2 + 1e-12) / fade_m[1]
-            veil = max(1.0 - side**4, 0.0) * max(1.0 - deep**4, 0.0)
-            if veil <= 0:
-                continue
-            start = shade.cell_m * (0.3 + 0.7 * chance(hash_pair(row * width + column, 5)))
-            # Moving the start by up to a cell blurs the cells' edges once the picture is averaged.
-            jx = shade.cell_m * (chance(hash_pair(row * width + column, 6)) - 0.5)
-            jy = shade.cell_m * (chance(hash_pair(row * width + column, 8)) - 0.5)
-            clear = clear_share(shade, x + jx, y + jy, 0.05, sun_world[0], sun_world[1], sun_world[2], start, 45.0)
-            above = clear_share(shade, x + 2 * jx, y + 2 * jy, 0.05, 0.0, 0.0, 1.0, start, 12.0)
-            grain = 0.95 + 0.10 * chance(hash_pair(int(np.floor(x * 9)) + 100000, int(np.floor(y * 9)) + 100000))
-            power = grain * (sun_power * clear * sun_world[2] + sky_power * (0.45 + 0.55 * above))
-            canvas.depth[row, column] = far
-            for c in range(3):
-                before = canvas.rgb[row, column, c]
-                canvas.rgb[row, column, c] = before + (rgb[c] * power - before) * veil

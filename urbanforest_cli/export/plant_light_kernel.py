@@ -1,20 +1,9 @@
-"""The light around plants: what a grid of leaf area lets through, and where the leaves of twigs sit."""
+"""Where the leaves of twigs sit, and numbers by chance that hang on places alone."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
-
-
-class Shade(NamedTuple):
-    """A box of cells that take light away; cell (i, j, k) spans origin + cell_m * (i, j, k) and one cell more."""
-
-    density: NDArray[np.float32]  # (nz, ny, nx) extinction a metre
-    origin_m: NDArray[np.float64]  # (3,)
-    cell_m: float
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -32,45 +21,6 @@ def hash_pair(a, b):
 def chance(bits):
     """Return a number in [0, 1) from hashed bits."""
     return float(bits >> np.uint64(11)) * 1.1102230246251565e-16
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def clear_share(shade, x, y, z, dx, dy, dz, start_m, reach_m):
-    """Return the share of light that reaches a point from a direction, exp(-sum of extinction)."""
-    nz, ny, nx = shade.density.shape
-    cell = shade.cell_m
-    x, y, z = (x - shade.origin_m[0]) / cell, (y - shade.origin_m[1]) / cell, (z - shade.origin_m[2]) / cell
-    total = 0.0
-    step = start_m / cell
-    end = reach_m / cell
-    while step < end:
-        i, j, k = int(np.floor(x + dx * step)), int(np.floor(y + dy * step)), int(np.floor(z + dz * step))
-        if k >= nz and dz >= 0:
-            break
-        if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-            total += shade.density[k, j, i]
-            if total * cell > 6.0:
-                break
-        step += 1.0
-    return np.exp(-total * cell)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def light_of_points(shade, points, sun, sky, start_m, reach_m, jitter):
-    """Return (n, 2): for each point the share of the sun's light, and the mean share from the sky's directions.
-
-    Nothing nearer than `start_m` counts; `jitter` is by what share of it that distance varies from point to point.
-    """
-    out = np.empty((len(points), 2), np.float32)
-    for p in range(len(points)):
-        x, y, z = points[p, 0], points[p, 1], points[p, 2]
-        start = start_m * (1.0 + jitter * (chance(hash_pair(p, 7)) - 0.5))
-        out[p, 0] = clear_share(shade, x, y, z, sun[0], sun[1], sun[2], start, reach_m)
-        total = 0.0
-        for d in range(len(sky)):
-            total += clear_share(shade, x, y, z, sky[d, 0], sky[d, 1], sky[d, 2], start, 0.4 * reach_m)
-        out[p, 1] = total / len(sky)
-    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

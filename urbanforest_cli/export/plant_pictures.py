@@ -1,8 +1,6 @@
 """Pictures of grown plants: skeletons in, an image out; light from the upper left, leaves shaded by those around them.
 
-The picture is drawn at several times its size and averaged. The light that a leaf, a branch or the ground gets is
-what a grid of leaf area lets through, toward the sun and toward a few directions of the sky; so crowns are dark inside
-and below, and cast soft shadows.
+The picture is drawn at several times its size and averaged, by the kernels that draw whole cities: see `view`.
 """
 
 from __future__ import annotations
@@ -11,34 +9,39 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from urbanforest_cli.export.plant_camera import Camera
-from urbanforest_cli.export.plant_kernel import Canvas, draw_ground, draw_leaves, draw_triangles, draw_wood
-from urbanforest_cli.export.plant_light_kernel import Shade, light_of_points
-from urbanforest_cli.export.plant_scene import (
-    FloatArray,
-    Leaves,
-    Rgb,
-    Standing,
-    Twigs,
-    Wood,
-    build_leaves,
-    build_twiglets,
-    build_wood,
-    joined_wood,
-    linear,
-)
+from urbanforest_cli.export.plant_scene import FloatArray, Rgb, Standing, Wood, linear
 from urbanforest_cli.export.plant_town import Faces, build_walls, joined_faces
+from urbanforest_cli.export.view import light_kernel
+from urbanforest_cli.export.view.draw import LEAF_EXTINCTION, blank_canvas, sky_rays, view_of
+from urbanforest_cli.export.view.draw_kernel import (
+    GROUND,
+    ROOF,
+    WALL,
+    Canvas,
+    Instances,
+    Models,
+    View,
+    draw_faces,
+    draw_plain,
+    draw_plants,
+)
+from urbanforest_cli.export.view.light import ring_over
+from urbanforest_cli.export.view.light_kernel import Ring
+from urbanforest_cli.export.view.models import build_models, model_of, place_models
+from urbanforest_cli.export.view.shade_kernel import Light, shade_rows
 
 SUN = (-0.52, 0.66, 0.54)  # toward it, in the camera's frame: from the upper left, behind the viewer
-SUN_POWER, SKY_POWER = 1.25, 0.62
-REACH_M = 24.0  # how far leaves look for what shades them
-BUILDING_EXTINCTION = 30.0
-LEAF_EXTINCTION = 0.5  # of each square metre of leaves: blades at all angles cover half their area
+SUN_HEIGHT_MIN = 0.3  # a view from above must not set the sun
+SUN_POWER, SKY_POWER, BOUNCE_POWER = 1.25, 0.62, 0.25
 KNEE, BEND = 0.75, 1.6  # brighter light than the knee is pressed together
 SHORTEST_LEAF_PX = 2.2  # of the drawn picture, before it is averaged
+SHADE_CELL_M, SHADE_CELLS = 0.12, (120, 1000)  # of the maps of shade; least and most along a side
+MARGIN_M = 3.0  # around all that casts shade
+
+Drawn = tuple[Models, Instances]
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,6 @@ def render(
     camera: Camera,
     *,
     supersampling: int = 2,
-    cell_m: float = 0.5,
     sun: tuple[float, float, float] | None = None,
 ) -> NDArray[np.uint8]:
     """Draw a scene.
@@ -114,125 +116,108 @@ def render(
         sRGB.
     """
     large = camera.enlarged(supersampling)
-    axes = large.axes
-    sun_world = axes.T @ np.array(SUN) if sun is None else np.array(sun)
-    sun_world = sun_world / np.linalg.norm(sun_world)
-    sun_world[2] = max(sun_world[2], 0.3)  # a view from above must not set the sun
-    sun_world /= np.linalg.norm(sun_world)
-    sun_seen = axes @ sun_world
-
-    grown = [build_wood(plants) for plants in scene.plants]
-    leaves = [
-        build_leaves(twigs, plants.looks, shortest_m=_shortest_leaf(large, twigs)) if scene.leafy else None
-        for plants, (_, twigs) in zip(scene.plants, grown, strict=True)
-    ]
-    parts = [part for part, _ in grown] + list(scene.things)
-    if not scene.leafy:
-        parts += [build_twiglets(twigs, plants.looks) for plants, (_, twigs) in zip(scene.plants, grown, strict=True)]
-    wood = joined_wood(parts) if parts else None
-    canvas = _blank(large, scene.backdrop)
-    everything = _all_leaves([item for item in leaves if item is not None])
-    empty = Wood(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0), np.empty((0, 3)))
-    shade = shade_of(wood or empty, everything, scene.buildings, scene.building_height_m, cell_m=cell_m)
-    sky = _sky_directions(axes)
-    if wood is not None:
-        light = np.hstack([light_of_points(shade, ends, sun_world, sky, 1.6 * cell_m, REACH_M, 0.0)
-                           for ends in (wood.start, wood.end)])  # fmt: skip
-        start, end = large.seen(wood.start), large.seen(wood.end)
-        start[:, 3] *= wood.start_radius
-        end[:, 3] *= wood.end_radius
-        draw_wood(canvas, start, end, wood.rgb, wood.start[:, 2] < 1e-3, light, sun_seen, SUN_POWER, SKY_POWER)
-    for item, (_, twigs) in zip(leaves, grown, strict=True):
-        if item is None or len(item.twig) == 0:
-            continue
-        light = light_of_points(shade, twigs.tip, sun_world, sky, 1.2 * cell_m, REACH_M, 0.8)[item.twig]
-        draw_leaves(canvas, large.seen(item.centre), item.along @ axes.T, item.across @ axes.T, item.rgb, light,
-                    sun_seen, SUN_POWER, SKY_POWER)  # fmt: skip
-    faces = joined_faces([*scene.faces, build_walls(scene.buildings, scene.building_height_m)])
-    if len(faces.corners):
-        corners = large.seen(faces.corners.reshape(-1, 3))[:, :3].reshape(-1, 3, 3)
-        draw_triangles(canvas, corners, faces.uv, faces.corners, faces.normal, faces.rgb, shade, sun_world, SUN_POWER,
-                       SKY_POWER, large.perspective)  # fmt: skip
-    if scene.backdrop.ground is not None:
-        back = scene.backdrop
-        _lay_ground(canvas, large, back, shade, sun_world)
-    return _finished(canvas, supersampling)
-
-
-def shade_of(
-    wood: Wood, leaves: Leaves | None, buildings: NDArray[np.object_], height_m: FloatArray, *, cell_m: float = 0.5
-) -> Shade:
-    """Count what takes light away into cells: leaves, branches, buildings."""
-    points = wood.end if leaves is None else np.vstack((wood.end, leaves.centre))
-    bounds = shapely.total_bounds(buildings) if len(buildings) else np.full(4, np.nan)
-    xs, ys = np.r_[points[:, 0], bounds[[0, 2]]], np.r_[points[:, 1], bounds[[1, 3]]]
-    if not np.isfinite(xs).any():
-        return Shade(np.zeros((1, 1, 1), np.float32), np.zeros(3), cell_m)
-    low = np.array([np.nanmin(xs), np.nanmin(ys), 0.0]) - [cell_m, cell_m, 0.0]
-    top = max(points[:, 2].max(initial=0.0), np.max(height_m, initial=0.0))
-    high = np.array([np.nanmax(xs), np.nanmax(ys), top]) + cell_m
-    nx, ny, nz = (int(n) for n in np.ceil((high - low) / cell_m))
-    flat = np.zeros(nx * ny * nz)
-
-    def add(where: FloatArray, amount: FloatArray) -> None:
-        cell = np.clip(((where - low) / cell_m).astype(np.int64), 0, [nx - 1, ny - 1, nz - 1])
-        index = (cell[:, 2] * ny + cell[:, 1]) * nx + cell[:, 0]
-        flat[:] += np.bincount(index, amount, minlength=len(flat))
-
-    length = np.linalg.norm(wood.end - wood.start, axis=1)
-    add(0.5 * (wood.start + wood.end), length * (wood.start_radius + wood.end_radius) / cell_m**3)
-    if leaves is not None:
-        add(leaves.centre, LEAF_EXTINCTION * leaves.area_m2 / cell_m**3)
-    density = flat.reshape(nz, ny, nx)
-    x, y = np.meshgrid(low[0] + (np.arange(nx) + 0.5) * cell_m, low[1] + (np.arange(ny) + 0.5) * cell_m)
-    for polygon, height in zip(buildings, height_m, strict=True):
-        inside = shapely.contains_xy(polygon, x, y)
-        density[: int(np.ceil((height - low[2]) / cell_m)), inside] = BUILDING_EXTINCTION
-    return Shade(density.astype(np.float32), low, cell_m)
-
-
-def _shortest_leaf(camera: Camera, twigs: Twigs) -> float:
-    """Return the length in metres of the shortest leaf worth drawing."""
-    if len(twigs.tip) == 0:
-        return 0.0
-    return SHORTEST_LEAF_PX / max(float(np.median(camera.seen(twigs.tip[::7])[:, 3])), 1e-6)
-
-
-def _all_leaves(parts: Sequence[Leaves]) -> Leaves | None:
-    if not parts:
-        return None
-    names = ("twig", "centre", "along", "across", "rgb", "area_m2")
-    return Leaves(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-
-def _sky_directions(axes: FloatArray) -> FloatArray:
-    """Return (6, 3): straight up, four slanting ones, and one low toward the viewer."""
-    toward = np.array([axes[2, 0], axes[2, 1], 0.0])
-    toward /= np.linalg.norm(toward) + 1e-12
-    up = np.array([0.0, 0.0, 1.0])
-    found = np.stack((up, axes[0] + up, up - axes[0], toward + up, up - toward, toward + 0.25 * up))
-    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
-
-
-def _blank(camera: Camera, backdrop: Backdrop) -> Canvas:
+    view, canvas = view_of(large), blank_canvas(large)
+    rows = large.size_px[1]
+    drawn = [_planted(plants, large, scene.leafy) for plants in scene.plants]
+    for wood in scene.things:
+        model = model_of(wood)
+        drawn.append((model, place_models(model, np.zeros(1, np.int64), np.zeros((1, 3)))))
+    houses = build_walls(scene.buildings, scene.building_height_m)
+    back = scene.backdrop
+    if back.ground is not None:
+        draw_plain(canvas, view, _bytes_of(linear(back.ground)), GROUND, 0, rows)
+    _draw_faces(canvas, view, joined_faces([*scene.faces, houses]))
+    light = _light(scene.backdrop, large, sun)
+    ring = shade_of(drawn, houses, light.sun)
+    for models, instances in drawn:
+        draw_plants(canvas, view, models, instances, 0, rows)
     width, height = camera.size_px
+    out = np.empty((height, width, 3), np.float32)
+    shade_rows(canvas, view, (ring, ring, ring), light, supersampling, out, 0, height)
+    return _finished(out)
+
+
+def _planted(plants: Standing, camera: Camera, leafy: bool) -> Drawn:
+    """Return plants as models, each at its place, their leaves as fine as they are seen."""
+    skeletons, count = plants.skeletons, len(plants.skeletons)
+    end = np.asarray(skeletons.seasons if plants.season_end is None else plants.season_end)
+    place = np.column_stack((plants.xy_m, np.zeros(count)))
+    scale = np.ones(count) if plants.scale is None else np.asarray(plants.scale)
+    shortest = SHORTEST_LEAF_PX / np.maximum(camera.seen(place)[:, 3] * scale, 1e-6)
+    models = build_models(skeletons, end, plants.looks, shortest_m=shortest, thinnest_m=np.zeros(count), leafy=leafy)
+    return models, place_models(models, np.arange(count), place, yaw_rad=plants.turn_rad, scale=scale)
+
+
+def shade_of(drawn: Sequence[Drawn], houses: Faces, sun: FloatArray) -> Ring:
+    """Count what takes light away: leaves, branches, houses.
+
+    Parameters
+    ----------
+    drawn
+        Models and where they stand.
+    houses
+        Faces that no light goes through.
+    sun
+        (3,) direction toward it.
+    """
+    corners = [houses.corners.reshape(-1, 3)]
+    for models, instances in drawn:
+        reach, top = models.reach[instances.model], models.top[instances.model]
+        for sign in (-1.0, 1.0):
+            corners.append(instances.place + np.column_stack((sign * reach, sign * reach, top)))
+    points = np.vstack([np.zeros((1, 3)), *corners])
+    low, high = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
+    slant = sun[:2] / sun[2]
+    # Shade is kept where the sun's ray meets the ground.
+    away = -slant * high[2]
+    low[:2], high[:2] = low[:2] + np.minimum(away, 0), high[:2] + np.maximum(away, 0)
+    width = float((high - low)[:2].max())
+    cells = int(np.clip(width / SHADE_CELL_M, *SHADE_CELLS))
+    ring = ring_over(low[:2], width, float(high[2]), slant, cells=cells)
+    rows = (0, ring.shade.shape[1], 0, ring.leaf.shape[1])
+    for models, instances in drawn:
+        light_kernel.splat_plants(ring, models, instances, LEAF_EXTINCTION, np.iinfo(np.int64).max, *rows)
+    faces = np.asarray(houses.corners, np.float64)
+    light_kernel.raise_faces(ring.solid, ring.low, ring.cell, ring.slant, faces)
+    light_kernel.raise_faces(ring.roof, ring.low, ring.sky_cell, np.zeros(2), faces)
+    light_kernel.sum_up(ring)
+    light_kernel.open_up(ring, sky_rays())
+    return ring
+
+
+def _draw_faces(canvas: Canvas, view: View, faces: Faces) -> None:
+    has_windows = faces.uv[:, 0, 0] >= 0
+    draw_faces(canvas, view, np.asarray(faces.corners, np.float64), np.asarray(faces.uv, np.float64),
+               np.asarray(faces.normal, np.float64), _bytes_of(faces.rgb),
+               np.where(has_windows, WALL, ROOF).astype(np.uint8), False, 0, len(canvas.depth))  # fmt: skip
+
+
+def _bytes_of(rgb: FloatArray) -> NDArray[np.uint8]:
+    """Return linear colours as bytes of the canvas."""
+    return np.asarray(np.clip(np.sqrt(rgb) * 255.0 + 0.5, 0, 255), dtype=np.uint8)
+
+
+def _light(backdrop: Backdrop, camera: Camera, sun: tuple[float, float, float] | None) -> Light:
+    toward = camera.axes.T @ np.array(SUN) if sun is None else np.array(sun, dtype=np.float64)
+    toward = toward / np.linalg.norm(toward)
+    toward[2] = max(toward[2], SUN_HEIGHT_MIN)
+    toward = np.ascontiguousarray(toward / np.linalg.norm(toward))
+    white = np.ones(3)
+    return Light(
+        toward, np.ascontiguousarray(camera.axes @ toward), SUN_POWER * white, SKY_POWER * white, BOUNCE_POWER * white,
+        white, white, np.zeros(3), 0.0, 1.0, True, _rows_behind(camera, backdrop),
+        np.array([*backdrop.ground_middle_m, *backdrop.ground_half_m], dtype=np.float64),
+    )  # fmt: skip
+
+
+def _rows_behind(camera: Camera, backdrop: Backdrop) -> NDArray[np.float64]:
+    """Return (rows, 3) the colour behind all; the lower is reached at the horizon, or at the edge if none is seen."""
+    height = camera.size_px[1]
     top, low = _unbent(linear(backdrop.sky_top)), _unbent(linear(backdrop.sky_low))
-    # The lower colour is reached at the horizon, or at the lower edge where none is seen.
     horizon = float(camera.middle_px[1] - camera.scale_px * np.tan(np.deg2rad(camera.pitch_deg)))
     last = min(max(horizon, 1.0), height) if camera.perspective else height
     share = np.clip(np.arange(height) / last, 0, 1)[:, None]
-    rgb = np.broadcast_to((top + (low - top) * share)[:, None], (height, width, 3)).astype(np.float32)
-    return Canvas(np.full((height, width), np.inf, np.float32), np.ascontiguousarray(rgb))
-
-
-def _lay_ground(canvas: Canvas, camera: Camera, backdrop: Backdrop, shade: Shade, sun_world: FloatArray) -> None:
-    eye = np.array(camera.eye_m, dtype=np.float64)
-    if not camera.perspective:
-        eye = eye + 1e4 * camera.axes[2]
-    assert backdrop.ground is not None  # asked by the caller
-    draw_ground(canvas, camera.axes, eye, camera.scale_px, camera.perspective, np.array(camera.middle_px),
-                linear(backdrop.ground), shade, sun_world, SUN_POWER, SKY_POWER, np.array(backdrop.ground_middle_m),
-                np.array(backdrop.ground_half_m))  # fmt: skip
+    return np.asarray(top + (low - top) * share, dtype=np.float64)
 
 
 def _unbent(light: FloatArray) -> FloatArray:
@@ -241,10 +226,8 @@ def _unbent(light: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(light, KNEE) + over / (1.0 - over * BEND))
 
 
-def _finished(canvas: Canvas, supersampling: int) -> NDArray[np.uint8]:
-    """Average to the picture's size, bend the brightest tones, encode as sRGB."""
-    height, width = (n // supersampling for n in canvas.depth.shape)
-    light = canvas.rgb.reshape(height, supersampling, width, supersampling, 3).mean(axis=(1, 3))
+def _finished(light: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Bend the brightest tones, encode as sRGB."""
     over = np.maximum(light - KNEE, 0.0)
     light = np.clip(np.minimum(light, KNEE) + over / (1.0 + over * BEND), 0.0, 1.0)
     encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)

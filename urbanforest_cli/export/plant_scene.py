@@ -79,13 +79,14 @@ class Standing:
 
 @dataclass(frozen=True)
 class Wood:
-    """Branches: (m, 3) ends, (m,) radii, (m, 3) linear colours."""
+    """Branches: (m, 3) ends, (m,) radii, (m, 3) linear colours, and whose they are where that is known."""
 
     start: FloatArray
     end: FloatArray
     start_radius: FloatArray
     end_radius: FloatArray
     rgb: FloatArray
+    plant: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ def build_wood(plants: Standing, *, smooth: float = 0.5) -> tuple[Wood, Twigs]:
     start_radius = np.where(first, np.maximum(start_radius, radius[own]) * foot, start_radius)
     bark = linear(np.array([look.bark for look in plants.looks]))
     tone = 0.85 + 0.3 * _chance(skeletons, owner, own, 3)
-    wood = Wood(place[below], place[own], start_radius, radius[own], bark[owner[own]] * tone[:, None])
+    wood = Wood(place[below], place[own], start_radius, radius[own], bark[owner[own]] * tone[:, None], owner[own])
 
     fresh = end[owner[own]] - skeletons.birth_season[own].astype(np.int64) < TWIG_SEASONS
     bears = (pipes[own] <= TWIG_PIPES) | fresh
@@ -196,7 +197,7 @@ def _crown_middles(points: FloatArray, owner: NDArray[np.int64], count: int) -> 
     return middle
 
 
-def build_leaves(twigs: Twigs, looks: Sequence[Look], *, shortest_m: float = 0.0) -> Leaves:
+def build_leaves(twigs: Twigs, looks: Sequence[Look], *, shortest_m: float | FloatArray = 0.0) -> Leaves:
     """Set leaves on twigs.
 
     Parameters
@@ -204,7 +205,7 @@ def build_leaves(twigs: Twigs, looks: Sequence[Look], *, shortest_m: float = 0.0
     twigs, looks
         From `build_wood`, and of each plant.
     shortest_m
-        Leaves shorter than this are merged into fewer, larger ones of the same area.
+        Leaves shorter than this, one number or one a plant, are merged into fewer, larger ones of the same area.
     """
     blade = np.array([look.blade_m for look in looks], dtype=np.float64).reshape(-1, 2)
     grown = np.maximum(shortest_m / blade[:, 0], 1.0)
@@ -246,7 +247,7 @@ def build_twiglets(twigs: Twigs, looks: Sequence[Look]) -> Wood:
     start = base + run * np.clip(along - 0.35, 0.0, 1.0)[:, None]
     bark = linear(np.array([look.bark for look in looks]))[twigs.plant[twig]]
     thin = TWIGLET_SLIMNESS * spray[twig]
-    return Wood(start, end.astype(np.float64), thin, 0.6 * thin, bark * (0.7 + 0.4 * tone)[:, None])
+    return Wood(start, end.astype(np.float64), thin, 0.6 * thin, bark * (0.7 + 0.4 * tone)[:, None], twigs.plant[twig])
 
 
 def _leaf_area_a_metre(twigs: Twigs, length: FloatArray, index: FloatArray) -> FloatArray:

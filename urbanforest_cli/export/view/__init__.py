@@ -1,0 +1,1 @@
+"""Pictures of whole cities, drawn without a graphics card."""
