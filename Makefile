@@ -6,7 +6,7 @@ EXTRAS ?= test
 DEMO := demo-forest
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-all lint format bench check-growth figures sample clean
+.PHONY: help install demo test test-all readers lint format bench check-growth figures sample clean
 
 help: ## list these targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
@@ -24,16 +24,32 @@ install: $(VENV)/.installed ## make .venv and install the program into it
 demo: install ## populate the sample city and show where to look
 	$(BIN)/urbanforest populate data_samples/sample_city.gpkg -o $(DEMO)
 	@echo
-	@echo "Look at:  $(DEMO)/map.png       the planted city"
+	@echo "Look at:  $(DEMO)/view.png      the planted city from above"
+	@echo "          $(DEMO)/map.png       its map"
+	@echo "          $(DEMO)/forest.glb    all of it in 3D, for Blender or a browser"
 	@echo "          $(DEMO)/report.html   counts, warnings, typical lots"
 	@echo "          $(DEMO)/register.gpkg every plant, styled, for QGIS"
 	@echo "Your own: $(BIN)/urbanforest populate CITY.gpkg"
 
-test: install ## run the tests (without the slow ones)
-	$(BIN)/python -m pytest -q -m "not slow"
+test: install ## run the tests (without the slow ones, and those that need other programs)
+	$(BIN)/python -m pytest -q -m "not slow and not readers"
 
 test-all: install ## run all tests, the slow ones too
 	$(BIN)/python -m pytest -q
+
+readers: install ## open the outputs in three.js, CesiumJS, QGIS and others, which it installs where it may
+	@if command -v npm >/dev/null; then npm ci --ignore-scripts --no-audit --no-fund --prefix tests/readers/node; \
+		else echo "Without node and npm, nothing is opened in a browser or by Khronos' validator: install them."; fi
+	@for need in chromium:chromium python3-qgis:qgis.core python3-gdal:osgeo_utils.samples.validate_gpkg; do \
+		package=$${need%%:*}; what=$${need#*:}; \
+		command -v $$what >/dev/null || /usr/bin/python3 -c "import $$what" 2>/dev/null || missing="$$missing $$package"; \
+	done; \
+	if [ -n "$$missing" ]; then \
+		if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+			{ apt-get update -q && apt-get install -y -q --no-install-recommends $$missing; } || echo "Not installed:$$missing"; \
+		else echo "Not there, and what needs it is skipped:$$missing"; fi; \
+	fi
+	$(BIN)/python -m pytest -q -rs -m readers tests/readers
 
 lint: install ## check format, style and types
 	$(BIN)/ruff format --check .

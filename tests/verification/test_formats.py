@@ -1,0 +1,147 @@
+"""Every format, with a fault planted in what is written."""
+
+import dataclasses
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+from pyproj import CRS
+
+from tests.reference.gltf_scenes import MATERIALS, MODELS, properties_of
+from tests.verification.conftest import COUNT, DEAD, UTM, trees_frame
+from urbanforest_cli.core.crs import reproject_xy
+from urbanforest_cli.core.scenery import Instances, Origin, Scenery
+from urbanforest_cli.files.cityjson import write_cityjson
+from urbanforest_cli.files.gltf import write_glb
+from urbanforest_cli.files.itree import write_itree
+from urbanforest_cli.files.plant_tables import write_plants_gpkg, write_plants_parquet
+from urbanforest_cli.verification.stage import verify_outputs
+
+ORIGIN = Origin(UTM, 500_300.0, 5_300_300.0)
+
+
+@dataclasses.dataclass
+class Rows:
+    """Plants to write: ids, places in the working CRS, heights."""
+
+    plant_id: np.ndarray
+    xy: np.ndarray
+    height_m: np.ndarray
+
+    def take(self, rows):
+        return Rows(self.plant_id[rows], self.xy[rows], self.height_m[rows])
+
+
+def standing():
+    trees = trees_frame().drop(index=list(DEAD))
+    xy = np.column_stack([trees.geometry.x, trees.geometry.y])
+    return Rows(trees["plant_id"].to_numpy(dtype=object, copy=True), xy, trees["height_m"].to_numpy(copy=True))
+
+
+def scene(rows):
+    rng = np.random.default_rng(1)
+    count = len(rows.plant_id)
+    local = np.column_stack([rows.xy - (ORIGIN.easting_m, ORIGIN.northing_m), np.zeros(count)])
+    placed = Instances(
+        rng.integers(0, len(MODELS), count).astype(np.int32), local, rng.uniform(0, 6, count),
+        rng.random(count) < 0.5, rng.uniform(0.8, 1.2, count),
+    )  # fmt: skip
+    columns = properties_of(count, rng)
+    for name, values in (("plant_id", rows.plant_id), ("height_m", rows.height_m.astype(np.float32))):
+        columns[name] = dataclasses.replace(columns[name], values=values)
+    return Scenery(ORIGIN, MATERIALS, MODELS, placed, columns)
+
+
+def table(rows):
+    frame = {"plant_id": rows.plant_id, "species": "tilia_cordata", "height_m": rows.height_m, "crown_radius_m": 2.0}
+    return gpd.GeoDataFrame(frame, geometry=gpd.points_from_xy(*rows.xy.T), crs=UTM)
+
+
+def write_inventory(path, rows):
+    degrees = reproject_xy(rows.xy, UTM, CRS.from_epsg(4326))
+    columns = {"User Tree ID": rows.plant_id, "Total Height (m)": rows.height_m}
+    write_itree(path, pd.DataFrame({**columns, "Latitude": degrees[:, 1], "Longitude": degrees[:, 0]}), provenance={})
+
+
+WRITERS = {
+    "forest.glb": lambda path, rows: write_glb(path, scene(rows)),
+    "plain.glb": lambda path, rows: write_glb(path, scene(rows), plain=True),
+    "forest.city.json": lambda path, rows: write_cityjson(path, scene(rows)),
+    "forest.city.jsonl": lambda path, rows: write_cityjson(path, scene(rows)),
+    "plants.gpkg": lambda path, rows: write_plants_gpkg(path, table(rows), categories=[], provenance={}),
+    "plants.parquet": lambda path, rows: write_plants_parquet(path, table(rows), provenance={}),
+    "itree.csv": write_inventory,
+}
+
+
+def move(rows):
+    rows.xy[5, 0] += 0.02
+    return rows
+
+
+def rename(rows):
+    rows.plant_id[6] = "lot 9-9"
+    return rows
+
+
+def drop(rows):
+    return rows.take(np.arange(len(rows.plant_id)) != 7)
+
+
+def double(rows):
+    return rows.take([*range(len(rows.plant_id)), 8, 9])
+
+
+def stretch(rows):
+    rows.height_m[4] += 0.02
+    return rows
+
+
+FAULTS = {
+    move: ["1 plant elsewhere"],
+    rename: ["1 plant missing", "1 plant not in the register"],
+    drop: ["1 plant missing"],
+    double: ["2 plants there more than once"],
+    stretch: ["1 plant of another height"],
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_format_holds_the_plants_that_stand(out, name):
+    WRITERS[name](out / name, standing())
+    (verdict,) = verify_outputs(out, [out / name])
+    assert (verdict.state, verdict.faults) == ("same", ())
+    assert verdict.plants == COUNT - len(DEAD)
+    assert verdict.largest_distance_m < 0.01
+
+
+@pytest.mark.parametrize("change", FAULTS)
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_fault_planted_in_any_format_is_told(out, name, change):
+    if change is double and "city.json" in name:
+        pytest.skip("CityJSON cannot hold a plant twice, and its writer refuses to")
+    WRITERS[name](out / name, change(standing()))
+    (verdict,) = verify_outputs(out, [out / name])
+    assert verdict.state == "differs"
+    assert [fault.split(" (")[0] for fault in verdict.faults] == FAULTS[change]
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_no_format_cut_anywhere_is_a_fault_of_the_program(out, name):
+    WRITERS[name](out / name, standing())
+    content = (out / name).read_bytes()
+    for size in (0, 10, len(content) // 3, len(content) // 2, len(content) - 20):
+        (out / name).write_bytes(content[:size])
+        (verdict,) = verify_outputs(out, [out / name])
+        assert verdict.state in ("unreadable", "differs"), size
+        assert verdict.faults
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_no_format_with_bytes_flipped_is_a_fault_of_the_program(out, name):
+    WRITERS[name](out / name, standing())
+    content = (out / name).read_bytes()
+    for place in np.random.default_rng(2).integers(0, len(content), 12).tolist():
+        (out / name).write_bytes(content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :])
+        verify_outputs(out, [out / name])
