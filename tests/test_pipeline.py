@@ -23,7 +23,10 @@ from urbanforest_cli.pipeline import WORK_FOLDER, Request, plan, populate
 
 ROOT = Path(__file__).parents[1]
 
-OUTPUTS = ["map.png", "plants.geojson", "register.gpkg", "report.html", "report.json"]
+OUTPUTS = ["exports.json", "forest.glb", "map.png", "plants.geojson", "register.gpkg", "report.html", "report.json",
+           "view.png"]  # fmt: skip
+SMALL = ["export.map_width_px=300", "export.view_width_px=200", "export.view_height_px=200", "export.detail=low",
+         "export.prototypes_max=10"]  # fmt: skip
 PUBLISHED = sorted([*OUTPUTS, "skeletons"])
 
 
@@ -50,7 +53,7 @@ def sample_city(tmp_path_factory):
 
 def request(city, out, seed=1, **changes):
     settings = changes.pop("settings", ())
-    config = load_config(settings=["export.map_width_px=300", *settings], environment={}).config
+    config = load_config(settings=[*SMALL, *settings], environment={}).config
     return Request(city=city, out=out, config=config, seed=seed, **changes)
 
 
@@ -250,7 +253,9 @@ def test_stopping_early_and_going_on_is_a_full_run(sample_city, tmp_path):
     pd.testing.assert_frame_equal(steps, whole)
 
 
-KILLER = """
+KILLER = (
+    f"SMALL = {SMALL}"
+    + """
 import os, sys
 calls, target = 0, int(sys.argv[3])
 def counted(function):
@@ -268,10 +273,11 @@ from urbanforest_cli.growth import batches, simulate
 from urbanforest_cli.pipeline import Request, populate
 from tests.growth import fake
 simulate.grow_grove, batches.PLANTS_A_PART = fake.grow_grove, 60
-config = load_config(settings=["export.map_width_px=300"], environment={}).config
+config = load_config(settings=SMALL, environment={}).config
 populate(Request(city=Path(sys.argv[1]), out=Path(sys.argv[2]), config=config, seed=int(sys.argv[4])))
 print("calls", calls)
 """
+)
 
 
 def killed_run(city, out, target, seed=1):
@@ -391,7 +397,9 @@ def test_a_city_without_lots_is_planted_with_nothing_and_said_so(tmp_path):
     city = tmp_path / "empty.geojson"
     city.write_text('{"type": "FeatureCollection", "features": []}')
     summaries = populate(request(city, tmp_path / "out"))
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == OUTPUTS
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == OUTPUTS[:-1]
+    assert "W_NO_VIEW" in summaries[-1].notices
+    assert all(summary.up_to_date for summary in populate(request(city, tmp_path / "out")))
     assert "W_EMPTY" in summaries[0].notices
 
 

@@ -6,7 +6,6 @@ outputs as they were and that folder, from which the next run goes on.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -18,10 +17,12 @@ from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.errors import EXIT_BAD_INPUT, InputError, OutputExistsError, UrbanForestError
 from urbanforest_cli.core.params import strategy_names
 from urbanforest_cli.core.progress import Progress, silent
-from urbanforest_cli.core.publish import folder_lock, output_error, sha256_of, sync_file, sync_folder
+from urbanforest_cli.core.publish import folder_lock, output_error, sync_file, sync_folder
 from urbanforest_cli.core.summary import StageSummary
-from urbanforest_cli.export.stage import OUTPUTS, export_key, export_outputs
+from urbanforest_cli.export.formats.stage import CITY_OUTPUTS, city_outputs, export_city
+from urbanforest_cli.export.stage import export_key
 from urbanforest_cli.files.geopackage import refuse_foreign, refuse_sidecars, row_count
+from urbanforest_cli.files.manifest import MANIFEST, is_intact, read_manifest
 from urbanforest_cli.files.provenance import Record, read_records
 from urbanforest_cli.files.skeleton_parts import link_parts, move_parts, parts_are_there, parts_folder, remove_strays
 from urbanforest_cli.files.species import load_catalogue
@@ -31,7 +32,6 @@ from urbanforest_cli.register.stage import refuse_too_many_bad, stencil_city, st
 
 STAGES = ("stencil", "diffuse", "place", "grow", "export")
 REGISTER = "register.gpkg"
-REPORT = "report.json"
 WORK_FOLDER = ".urbanforest-work"
 
 
@@ -138,7 +138,7 @@ def _check(request: Request) -> None:
     if register.exists():
         refuse_foreign(register, older_too=False)
         refuse_sidecars(register)
-    elif out.is_dir() and (taken := [name for name in (REGISTER, *OUTPUTS) if (out / name).exists()]):
+    elif out.is_dir() and (taken := [name for name in (REGISTER, *CITY_OUTPUTS) if (out / name).exists()]):
         raise OutputExistsError(
             f"the folder holds {', '.join(taken)}, but no register of urbanforest",
             where=request.out,
@@ -256,14 +256,15 @@ def _run_stages(request: Request, keys: dict[str, str], register: Path, progress
         summaries["grow"] = show_year(register, request.year)
         summaries["grow"].output = published
     if request.until == "export":
-        summaries["export"] = export_outputs(
+        _bring_manifest(request.out, register.parent)
+        summaries["export"] = export_city(
             register,
             register.parent,
             config=request.config,
-            city=request.city,
-            assume_crs=request.assume_crs,
-            summaries=[summary.as_record() for summary in summaries.values()],
+            seed=request.seed,
             key=keys["export"],
+            summaries=[summary.as_record() for summary in summaries.values()],
+            workers=request.workers,
             progress=progress,
         )
         summaries["export"].output = request.out
@@ -301,28 +302,34 @@ def _summary_of(record: Record, output: Path) -> StageSummary:
 
 def _exports_fresh(out: Path, key: str) -> bool:
     """Tell whether every output is there, unchanged since it was written for this key."""
-    report = out / REPORT
+    written = city_outputs(read_manifest(out), key)
+    return bool(written) and all(is_intact(out, export) for export in written)
+
+
+def _bring_manifest(out: Path, work: Path) -> None:
+    """Take along what the manifest says of outputs that this run does not write."""
     try:
-        record = json.loads(report.read_text(encoding="utf-8"))
-        outputs = {str(item["name"]): str(item["sha256"]) for item in record["outputs"]}
-        fresh = record["export_key"] == key and set(OUTPUTS) - {REPORT} <= set(outputs)
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-    return fresh and all((out / name).is_file() and sha256_of(out / name) == sha for name, sha in outputs.items())
+        if (out / MANIFEST).is_file():
+            shutil.copyfile(out / MANIFEST, work / MANIFEST)
+    except OSError as error:
+        raise output_error(work, error) from error
 
 
 def _publish_all(work: Path, out: Path, until: str) -> None:
     """Move all that is ready into place: skeletons before the register that names them, those it names no longer after.
 
-    The report is last: it vouches for the others by their hashes.
+    The manifest is last: it vouches for the others by their hashes.
     """
-    names = [REGISTER, *(name for name in OUTPUTS if name != REPORT), REPORT] if until == "export" else [REGISTER]
+    names = [REGISTER, *CITY_OUTPUTS, MANIFEST] if until == "export" else [REGISTER]
     try:
-        for name in names:
+        there = [name for name in names if (work / name).exists()]
+        for name in there:
             sync_file(work / name)
         move_parts(work / REGISTER, parts_folder(out / REGISTER))
-        for name in names:
+        for name in there:
             os.replace(work / name, out / name)
+        for name in set(names) - set(there):  # what this city has no more
+            (out / name).unlink(missing_ok=True)
         sync_folder(out)
         remove_strays(out / REGISTER)
         shutil.rmtree(work)

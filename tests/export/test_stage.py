@@ -95,32 +95,24 @@ def register(tmp_path_factory, config):
         Record("place", stage_key="k2", inputs=[{"name": "stencil", "sha256": "k1"}], **record).as_row(),
     ])  # fmt: skip
     path = tmp_path_factory.mktemp("register") / "register.gpkg"
-    layers = {"lots": lots, "active_areas": areas, "parameters": parameters, "plants": plants}
+    house = gpd.GeoDataFrame(
+        {"building_id": ["h"], "height_m": [None]},
+        geometry=[shapely.box(1_005_220, 220_020, 1_005_320, 220_120)],
+        crs=FEET,
+    ).astype({"height_m": float})
+    roads = gpd.GeoDataFrame(
+        {"road_id": ["r"], "width_m": [5.0]}, geometry=[shapely.box(1_005_000, 219_970, 1_005_400, 219_990)], crs=FEET
+    )
+    layers = {"lots": lots, "active_areas": areas, "parameters": parameters, "plants": plants, "buildings": house}
+    layers["roads"] = roads
     write_layers(path, {**layers, "placements": placements, "skipped": skipped, "provenance": provenance}, fresh=True)
     return path
 
 
 @pytest.fixture(scope="module")
-def city(tmp_path_factory):
-    """The lots' city: one building over the second lot, with a height in words, and a road that is not finite."""
-    path = tmp_path_factory.mktemp("city") / "town_of_feet.gpkg"
-    house = gpd.GeoDataFrame(
-        {"Height_M": ["tall"]}, geometry=[shapely.box(1_005_220, 220_020, 1_005_320, 220_120)], crs=FEET
-    )
-    roads = gpd.GeoDataFrame(
-        {"width_m": [5.0, -1.0]},
-        crs=FEET,
-        geometry=[shapely.LineString([(1_005_000, 219_980), (1_005_400, 219_980)]), None],
-    )
-    write_layers(path, {"buildings": house, "roads": roads}, fresh=True,
-                 geometry_types={"buildings": "Polygon", "roads": "LineString"})  # fmt: skip
-    return path
-
-
-@pytest.fixture(scope="module")
-def exported(register, city, tmp_path_factory, config):
+def exported(register, tmp_path_factory, config):
     out = tmp_path_factory.mktemp("exported")
-    return out, export_outputs(register, out, config=config, city=city, key="the key")
+    return out, export_outputs(register, out, config=config, key="the key")
 
 
 def test_every_output_is_written_and_the_report_vouches_for_the_others(exported):
@@ -129,7 +121,7 @@ def test_every_output_is_written_and_the_report_vouches_for_the_others(exported)
     assert summary.counts["plants"] == 2
     report = json.loads((out / "report.json").read_text())
     assert report["export_key"] == "the key"
-    assert report["title"] == "Town of feet"
+    assert report["title"] == "Town"
     named = {item["name"]: item for item in report["outputs"]}
     assert set(named) == {"register.gpkg", "plants.geojson", "map.png", "report.html"}
     for name in ("plants.geojson", "map.png", "report.html"):
@@ -160,11 +152,11 @@ def test_the_map_is_as_wide_as_the_config_says(exported):
         assert picture.width == 400
 
 
-def test_equal_content_is_equal_bytes_where_the_date_is_fixed(register, city, tmp_path, config, monkeypatch):
+def test_equal_content_is_equal_bytes_where_the_date_is_fixed(register, tmp_path, config, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     for folder, seconds in (("one", 1.0), ("two", 2.0)):
         told = {"stage": "place", "output": folder, "seconds": seconds, "counts": {"reused": seconds}, "warnings": []}
-        export_outputs(register, tmp_path / folder, config=config, city=city, summaries=[told])
+        export_outputs(register, tmp_path / folder, config=config, summaries=[told])
     for name in OUTPUTS:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 

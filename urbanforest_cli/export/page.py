@@ -84,13 +84,14 @@ def render_html(record: Row, images: Mapping[str, bytes]) -> str:
     record
         As `build_report` returns it.
     images
-        PNG files by name: ``map`` and, where there are any, ``lots``.
+        PNG files by name: ``map`` and, where there are any, ``view`` and ``lots``.
     """
     title = escape(record["title"])
     sections = [
         f"<h1>{title}</h1>",
         f'<p class="lead">{_lead(record)}</p>',
         _figures(record["headline"]),
+        _view(images, record["title"]),
         _section("Map", _picture(images, "map", f"Map of {record['title']}: lots by zone, buildings, plants")),
         _section("Zones", table(record["zones"], _zone_columns(record["zones"]))),
         _section("Species", _species(record["species"])),
@@ -158,6 +159,10 @@ def _picture(images: Mapping[str, bytes], name: str, text: str) -> str:
     if name not in images:
         return ""
     return f'<img alt="{escape(text)}" src="data:image/png;base64,{b64encode(images[name]).decode("ascii")}">'
+
+
+def _view(images: Mapping[str, bytes], title: str) -> str:
+    return _section("View", _picture(images, "view", f"{title} from above, with its plants as they grew"))
 
 
 def _typical(images: Mapping[str, bytes]) -> str:

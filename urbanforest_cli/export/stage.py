@@ -46,18 +46,14 @@ from urbanforest_cli.files.geojson import write_points
 from urbanforest_cli.files.geopackage import layer_names, read_layer
 from urbanforest_cli.files.provenance import read_records, require_record, stage_key
 from urbanforest_cli.files.species import load_catalogue
-from urbanforest_cli.files.vectors import list_vector_layers, read_vector
 
 GEOJSON, MAP, PAGE, REPORT = "plants.geojson", "map.png", "report.html", "report.json"
 OUTPUTS = (GEOJSON, MAP, PAGE, REPORT)
+VIEW = "view.png"
 WGS84 = CRS.from_epsg(4326)
 LOTS_PX = 2000
 STEPS = len(OUTPUTS)
-BUILDINGS, ROADS = "buildings", "roads"
 GROWN_SIZES = ("height_m", "crown_radius_m", "crown_base_m", "dbh_m")
-UNKNOWN_HEIGHT_M = 6.0
-LARGEST_M = 1000.0
-NOTHING = np.empty(0, dtype=object)
 
 
 def export_key(place: str, *, config: Config, seed: int) -> str:
@@ -70,17 +66,16 @@ def export_outputs(
     out: Path,
     *,
     config: Config,
-    city: Path | None = None,
-    assume_crs: str | None = None,
     summaries: Sequence[Mapping[str, Any]] = (),
+    beside: Sequence[str] = (),
     key: str = "",
     bbox: Bounds | None = None,
     progress: Progress = silent,
 ) -> StageSummary:
     """Write plants.geojson, map.png, report.html and report.json.
 
-    Reads layers lots, active_areas, parameters, plants, placements and skipped, trees where these very plants have
-    grown, and the city's buildings and roads.
+    Reads layers lots, active_areas, parameters, buildings, roads, plants, placements and skipped, and trees where these
+    very plants have grown.
     The report comes last and names the others with their hashes. Where SOURCE_DATE_EPOCH is set, it tells of the
     stages what the register remembers, not how long they took, so that equal content is equal bytes.
 
@@ -92,12 +87,10 @@ def export_outputs(
         Folder to write to.
     config
         Colours, width of the map.
-    city
-        The file the register was made from; the map shows no buildings and roads without it.
-    assume_crs
-        CRS of a city that states none.
     summaries
         What the stages before told; what the register remembers of them if empty.
+    beside
+        Names of files in `out` that the report tells of too; it shows view.png if that is among them.
     key
         As `export_key` returns it, kept in the report.
     bbox
@@ -112,17 +105,19 @@ def export_outputs(
     """
     started = time.perf_counter()
     progress("export", 0, STEPS)
-    planted = _read(register, config, city, assume_crs)
-    provenance = _provenance(register, planted, key)
-    _write_geojson(out / GEOJSON, planted, provenance)
+    planted = _read(register, config)
+    provenance = provenance_of(register, plants=len(planted.degrees), key=key)
+    _write_geojson(out / GEOJSON, planted.degrees, planted.tables.plants, planted.tables.trees, provenance)
     progress("export", 1, STEPS)
     map_png = png_of(_map(planted, provenance, config, bbox), provenance)
     _write_bytes(out / MAP, map_png)
     progress("export", 2, STEPS)
     report = _report(register, planted, provenance, config, summaries)
     report["export_key"] = key
-    report["outputs"] = [_output(register), *(_output(out / name) for name in (GEOJSON, MAP))]
+    report["outputs"] = [_output(register), *(_output(out / name) for name in (*beside, GEOJSON, MAP))]
     images = {"map": for_page(map_png)}
+    if VIEW in beside:
+        images["view"] = for_page((out / VIEW).read_bytes())
     pictures = typical_pictures(planted.layers, planted.tables, planted.areas)
     if pictures:
         lots_width_px = min(LOTS_PX, config.export.map_width_px)
@@ -150,18 +145,14 @@ class _Planted:
     notices: Notices
 
 
-def _read(register: Path, config: Config, city: Path | None, assume_crs: str | None) -> _Planted:
+def _read(register: Path, config: Config) -> _Planted:
     working = require_record(register, "place").working_crs
     lots = read_layer(register, "lots")
-    plants = read_layer(register, "plants")
     areas = read_layer(register, "active_areas", columns=["lot_id"])
     crs = CRS.from_user_input(lots.crs)
     names = set(layer_names(register))
     notices = Notices()
-    trees = _trees(register, plants["plant_id"], notices)
-    if trees is not None:  # of an earlier year only what was planted by then is told
-        born = (trees["reason"] != "unborn").to_numpy()
-        plants, trees = plants[born].reset_index(drop=True), trees[born].reset_index(drop=True)
+    plants, trees = _plants(register, notices)
     tables = RegisterTables(
         lots=pd.DataFrame(lots.drop(columns="geometry")),
         parameters=read_layer(register, "parameters", geometry=False, columns=["lot_id", "strategy", "radius_mean_m"]),
@@ -175,7 +166,8 @@ def _read(register: Path, config: Config, city: Path | None, assume_crs: str | N
     zone_code, zone_names = pd.factorize(tables.lots["zone"], sort=True)
     colours = {name: table.colour for name, table in config.zones.items() if table.colour is not None}
     code, styles = _species_styles(tables.plants, config)
-    buildings, heights, roads, widths = _surroundings(city, assume_crs or crs, working, config)
+    buildings, heights = _buildings(register, crs, working, config)
+    roads = reproject(read_layer(register, "roads").geometry.to_numpy(), crs, working)
     layers = MapLayers(
         lots=reproject(lots.geometry.to_numpy(), crs, working),
         lot_zone=np.asarray(zone_code, dtype=np.int64),
@@ -187,10 +179,9 @@ def _read(register: Path, config: Config, city: Path | None, assume_crs: str | N
         buildings=buildings,
         building_height_m=heights,
         roads=roads,
-        road_width_m=widths,
     )
     return _Planted(
-        name=place_name(city.stem if city is not None else register.stem),
+        name=city_name(register),
         tables=tables,
         layers=layers,
         areas=pd.Series(
@@ -201,6 +192,16 @@ def _read(register: Path, config: Config, city: Path | None, assume_crs: str | N
         working=working,
         notices=notices,
     )
+
+
+def _plants(register: Path, notices: Notices) -> tuple[gpd.GeoDataFrame, pd.DataFrame | None]:
+    """Read all plants and, where they have grown, what became of them; of an earlier year those planted by then."""
+    plants = read_layer(register, "plants")
+    trees = _trees(register, plants["plant_id"], notices)
+    if trees is None:
+        return plants, None
+    born = (trees["reason"] != "unborn").to_numpy()
+    return gpd.GeoDataFrame(plants[born].reset_index(drop=True)), trees[born].reset_index(drop=True)
 
 
 def _trees(register: Path, plant_ids: pd.Series[Any], notices: Notices) -> pd.DataFrame | None:
@@ -236,63 +237,85 @@ def _species_styles(plants: pd.DataFrame, config: Config) -> tuple[NDArray[np.in
     return np.asarray(code, dtype=np.int64), styles
 
 
-def _surroundings(
-    city: Path | None, assumed: str | CRS, working: CRS, config: Config
-) -> tuple[NDArray[np.object_], NDArray[np.float64], NDArray[np.object_], NDArray[np.float64]]:
-    """Return the city's buildings with heights and roads with widths; what cannot be drawn is left out.
-
-    Whatever is wrong with these layers the stencil has counted already.
-    """
-    there = [name for name, kind in list_vector_layers(city) if kind is not None] if city is not None else []
-    buildings, heights = NOTHING, np.empty(0)
-    roads, widths = NOTHING, np.empty(0)
-    if city is not None and BUILDINGS in there and len(there) > 1:
-        frame = read_vector(city, layer=BUILDINGS, assume_crs=assumed, notices=Notices())
-        buildings, heights = _drawable(frame, working, "height_m", UNKNOWN_HEIGHT_M)
-    if city is not None and ROADS in there and len(there) > 1:
-        frame = read_vector(city, layer=ROADS, kinds=("line", "polygon"), assume_crs=assumed, notices=Notices())
-        roads, widths = _drawable(frame, working, "width_m", config.rules.road_width_m)
-    return buildings, heights, roads, widths
+def _buildings(
+    register: Path, crs: CRS, working: CRS, config: Config
+) -> tuple[NDArray[np.object_], NDArray[np.float64]]:
+    frame = read_layer(register, "buildings")
+    heights = frame["height_m"].to_numpy(dtype=np.float64, na_value=np.nan)
+    known = np.where(heights > 0, heights, config.growth.building_height_m)
+    return reproject(frame.geometry.to_numpy(), crs, working), known
 
 
-def _drawable(frame: gpd.GeoDataFrame, working: CRS, column: str, default: float) -> tuple[NDArray[Any], NDArray[Any]]:
-    shapes = frame.geometry.to_numpy()
-    present = np.isfinite(shapely.bounds(shapes)).all(axis=1)
-    moved = reproject(shapely.force_2d(shapes[present]), CRS.from_user_input(frame.crs), working)
-    named = {str(name).casefold(): name for name in frame.columns}
-    numbers = np.full(len(frame), default)
-    if column in named:
-        given = pd.to_numeric(frame[named[column]], errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
-        numbers = np.where((given > 0) & (given < LARGEST_M), given, default)
-    sound = np.isfinite(shapely.bounds(moved)).all(axis=1)
-    return moved[sound], numbers[present][sound]
+def city_name(register: Path) -> str:
+    """Return the name of the city that a register was made from."""
+    stencil = read_records(register).get("stencil")
+    return place_name(Path(stencil.inputs[0]["name"]).stem if stencil and stencil.inputs else register.stem)
 
 
-def _provenance(register: Path, planted: _Planted, key: str) -> dict[str, Any]:
+def provenance_of(register: Path, *, plants: int, key: str) -> dict[str, Any]:
+    """Return what an export carries: program, seed, hashes of the stages and inputs, year if one is shown."""
     records = read_records(register)
     place = records["place"]
-    year = records["grow"].config.get("year") if planted.tables.trees is not None else None
+    year = records["grow"].config.get("year") if "grow" in records else None
+    crs = CRS.from_user_input(read_layer(register, "lots", columns=["lot_id"]).crs)
     return {
         "program": "urbanforest",
         "program_version": __version__,
         "seed": place.seed,
         "export_key": key,
         "stage_keys": {stage: record.stage_key for stage, record in records.items()},
-        "working_crs": planted.working.name,
-        "register_crs": planted.crs.name,
+        "working_crs": place.working_crs.name,
+        "register_crs": crs.name,
         "inputs": records["stencil"].inputs if "stencil" in records else [],
-        "plants": len(planted.degrees),
+        "plants": plants,
         **({"year": year} if year is not None else {}),
     }
 
 
-def _write_geojson(path: Path, planted: _Planted, provenance: Mapping[str, Any]) -> None:
-    properties, trees = planted.tables.plants, planted.tables.trees
+def write_plants_geojson(register: Path, path: Path, *, key: str, bbox: Bounds | None = None) -> None:
+    """Write all plants of a register, those that died too, as GeoJSON.
+
+    Parameters
+    ----------
+    key
+        Kept in the file's provenance.
+    bbox
+        West, south, east, north in the register's CRS; only plants in it.
+
+    Raises
+    ------
+    SchemaError
+        A layer is missing; the text names the command that writes it.
+    """
+    plants, trees = _plants(register, Notices())
+    crs, xy = CRS.from_user_input(plants.crs), shapely.get_coordinates(plants.geometry.to_numpy())
+    if bbox is not None:
+        inside = in_box(xy, bbox)
+        plants, xy = gpd.GeoDataFrame(plants[inside].reset_index(drop=True)), xy[inside]
+        trees = trees[inside].reset_index(drop=True) if trees is not None else None
+    provenance = provenance_of(register, plants=len(plants), key=key)
+    properties = pd.DataFrame(plants.drop(columns="geometry"))
+    _write_geojson(path, reproject_xy(xy, crs, WGS84), properties, trees, provenance)
+
+
+def in_box(xy: NDArray[np.float64], bbox: Bounds) -> NDArray[np.bool_]:
+    """Tell of (n, 2) positions whether they lie in west, south, east, north, or on its edge."""
+    west, south, east, north = bbox
+    return np.asarray((xy[:, 0] >= west) & (xy[:, 0] <= east) & (xy[:, 1] >= south) & (xy[:, 1] <= north))
+
+
+def _write_geojson(
+    path: Path,
+    degrees: NDArray[np.float64],
+    properties: pd.DataFrame,
+    trees: pd.DataFrame | None,
+    provenance: Mapping[str, Any],
+) -> None:
     if trees is not None:
         sizes = trees[list(GROWN_SIZES)].copy()
         sizes.loc[not_grown(trees)] = np.nan
         properties = pd.concat([properties, sizes, trees[["grown", "reason"]]], axis=1)
-    write_points(path, planted.degrees, properties, members={"provenance": dict(provenance)})
+    write_points(path, degrees, properties, members={"provenance": dict(provenance)})
 
 
 def _map(planted: _Planted, provenance: Mapping[str, Any], config: Config, bbox: Bounds | None) -> Figure:

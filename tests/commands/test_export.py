@@ -1,0 +1,128 @@
+"""The command as a user types it, on a small city that has grown."""
+
+import json
+import shutil
+
+import pytest
+
+from urbanforest_cli.files.geopackage import read_layer
+from urbanforest_cli.files.gltf_reader import read_plants
+from urbanforest_cli.files.manifest import faults_of, read_manifest
+
+ALL = "glb,3dtiles,cityjson,obj,geojson,gpkg,geoparquet,itree,canopy"
+
+
+@pytest.fixture(scope="module")
+def grown(tmp_path_factory):
+    from urbanforest_cli.files.configs import load_config
+    from urbanforest_cli.pipeline import Request, populate
+    from urbanforest_cli.synth.stage import make_city
+
+    folder = tmp_path_factory.mktemp("export")
+    make_city(folder / "city.gpkg", lot_count=12, seed=4)
+    config = load_config(settings=["zones.default.age_max_years=8.0"], environment={}).config
+    populate(Request(city=folder / "city.gpkg", out=folder / "out", config=config, seed=1, until="grow"))
+    return folder / "out"
+
+
+@pytest.fixture
+def out(grown, tmp_path):
+    return shutil.copytree(grown, tmp_path / "out")
+
+
+def test_every_format_is_written_and_named_in_the_manifest(out, runner):
+    outcome = runner("export", out, "--to", ALL, "--json")
+    assert outcome.exit_code == 0, outcome.stderr
+    exports = read_manifest(out)
+    assert set(exports) == {
+        "forest.glb", "tiles", "forest.city.json", "species", "plants.geojson", "plants.gpkg", "plants.parquet",
+        "itree.csv", "canopy_height.tif", "canopy_cover.tif",
+    }  # fmt: skip
+    assert not [fault for export in exports.values() for fault in faults_of(out, export)]
+    counts = json.loads(outcome.stdout)["counts"]
+    standing = read_layer(out / "register.gpkg", "trees")["grown"].isin(["unique", "library"]).sum()
+    assert counts["plants"] == standing == len(read_plants(out / "forest.glb"))
+
+
+@pytest.mark.slow
+def test_equal_inputs_are_equal_bytes_in_every_format(out, runner, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    for _ in range(2):
+        assert runner("export", out, "--to", ALL).exit_code == 0
+        files = {name: state for item in read_manifest(out).values() for name, state in item.files.items()}
+        if _ == 0:
+            before = files
+    assert files == before
+
+
+def test_a_box_holds_the_plants_in_it(out, runner):
+    trees = read_layer(out / "register.gpkg", "trees")
+    west, south, _, _ = trees.total_bounds
+    east, north = trees.geometry.x.median(), trees.geometry.y.median()
+    outcome = runner("export", out, "--to", "glb,geojson", "--bbox", west, south, east, north)
+    assert outcome.exit_code == 0, outcome.stderr
+    inside = (trees.geometry.x <= east) & (trees.geometry.y <= north) & trees["grown"].isin(["unique", "library"])
+    assert sorted(read_plants(out / "forest.glb").plant_id) == sorted(trees["plant_id"][inside])
+    assert read_manifest(out)["forest.glb"].options["bbox"] == [west, south, east, north]
+
+
+def test_a_box_beside_the_city_is_refused_with_where_it_lies(out, runner):
+    outcome = runner("export", out, "--to", "glb", "--bbox", 0, 0, 1, 1)
+    assert outcome.exit_code == 2
+    assert "--bbox" in outcome.stderr
+    assert "within" in outcome.stderr
+    assert not (out / "forest.glb").exists()
+
+
+def test_prototypes_are_at_most_as_many_as_asked_for(out, runner):
+    few = json.loads(runner("export", out, "--to", "glb", "--prototypes", "6", "--json").stdout)["counts"]
+    every = json.loads(runner("export", out, "--to", "glb", "--prototypes", "all", "--json").stdout)["counts"]
+    assert few["shapes"] <= max(6, len(read_layer(out / "register.gpkg", "trees")["species"].unique()))
+    assert every["shapes"] > few["shapes"]
+    assert every["outline_error_median"] == 0.0
+    assert every["own_shape_fraction"] == 1.0
+
+
+def test_plain_is_larger_and_has_no_extension(out, runner):
+    assert runner("export", out, "--to", "glb", "--plain", "-o", out / "plain.glb").exit_code == 0
+    content = (out / "plain.glb").read_bytes()
+    document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+    assert "extensionsUsed" not in document
+    assert len(read_plants(out / "plain.glb")) > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--to", "fbx"], "fbx"),
+        (["--to", "glb,gpkg", "-o", "x.glb"], "one format"),
+        (["--to", "gpkg", "--plain"], "--plain"),
+        (["--to", "glb", "--prototypes", "0"], "above 0"),
+        (["--to", "canopy", "-o", "x.tif"], "two files"),
+        ([], "--to"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(out, runner, arguments, told):
+    outcome = runner("export", out, *arguments)
+    assert outcome.exit_code == 2
+    assert told in outcome.stderr
+
+
+def test_the_register_itself_and_folders_are_not_replaced_by_files(out, runner):
+    for path in (out / "register.gpkg", out / "skeletons"):
+        before = path.stat().st_mtime_ns
+        assert runner("export", out, "--to", "glb", "-o", path).exit_code == 2
+        assert path.stat().st_mtime_ns == before
+
+
+def test_plants_that_have_not_grown_are_told_with_the_command(tmp_path, tiny_city, runner):
+    assert runner("populate", tiny_city, "-o", tmp_path / "out", "--until", "place").exit_code == 0
+    outcome = runner("export", tmp_path / "out", "--to", "glb")
+    assert outcome.exit_code == 2
+    assert "urbanforest grow" in outcome.stderr
+
+
+def test_a_folder_without_a_register_is_told(tmp_path, runner):
+    outcome = runner("export", tmp_path, "--to", "glb")
+    assert outcome.exit_code == 2
+    assert "populate" in outcome.stderr

@@ -1,0 +1,394 @@
+"""Export: from a register and its skeletons to the formats that other programs open."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from urbanforest_cli.core.config import Config
+from urbanforest_cli.core.errors import InputError, OutputExistsError
+from urbanforest_cli.core.notices import Notices
+from urbanforest_cli.core.progress import Progress, silent
+from urbanforest_cli.core.scenery import Scenery
+from urbanforest_cli.core.summary import StageSummary
+from urbanforest_cli.export.scene.buildings import build_buildings
+from urbanforest_cli.export.scene.canopy import canopy_rasters
+from urbanforest_cli.export.scene.city import City
+from urbanforest_cli.export.scene.ground import build_ground
+from urbanforest_cli.export.scene.models import build_scenery
+from urbanforest_cli.export.scene.pieces import Piece
+from urbanforest_cli.export.scene.prototypes import Prototypes, choose_prototypes
+from urbanforest_cli.export.scene.stage import Bounds, read_city
+from urbanforest_cli.export.scene.tables import inventory_table, plant_table, species_categories
+from urbanforest_cli.export.scene.tiling import tile_scene
+from urbanforest_cli.export.stage import OUTPUTS, REPORT, VIEW, export_outputs, provenance_of, write_plants_geojson
+from urbanforest_cli.export.view.stage import view_city
+from urbanforest_cli.files.canopy import write_canopy
+from urbanforest_cli.files.cityjson import write_cityjson
+from urbanforest_cli.files.geopackage import read_layer
+from urbanforest_cli.files.gltf import write_glb
+from urbanforest_cli.files.itree import write_itree
+from urbanforest_cli.files.manifest import Export, describe_files, record_exports
+from urbanforest_cli.files.obj import write_species_library
+from urbanforest_cli.files.plant_tables import write_plants_gpkg, write_plants_parquet
+from urbanforest_cli.files.provenance import require_record, stage_key
+from urbanforest_cli.files.tiles3d import write_tiles
+
+STAGE = "export"
+CITY_STEPS = 3
+TILE_DETAILS = {"point": 1, "billboard": 60, "low": 120}
+"""Details of far tiles from coarse to fine, and the most shapes of each."""
+CANOPY_COVER = "canopy_cover.tif"
+CITY_OUTPUTS = ("forest.glb", VIEW, *OUTPUTS)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be written, beside what the config says.
+
+    Parameters
+    ----------
+    bbox
+        West, south, east, north in the register's CRS; the whole city if None.
+    plain
+        glTF without extensions.
+    with_surroundings
+        Buildings, lots and roads too.
+    cell_m
+        Of canopy rasters.
+    """
+
+    bbox: Bounds | None = None
+    plain: bool = False
+    with_surroundings: bool = True
+    cell_m: float = 1.0
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format.
+
+    Parameters
+    ----------
+    name
+        Of its file or folder.
+    detail, prototypes_max
+        How much of plants is drawn, and how many shapes are stored, where nothing else is asked for.
+    companion
+        What the name of a file that belongs to it ends in more.
+    second
+        Name of a second file.
+    """
+
+    name: str
+    write: Callable[[Job, Path], None]
+    detail: str = ""
+    prototypes_max: int = 0
+    is_folder: bool = False
+    companion: str = ""
+    second: str = ""
+
+
+@dataclass
+class Job:
+    """One run of `export`: what is read once, whatever the number of formats."""
+
+    register: Path
+    config: Config
+    seed: int
+    wanted: Wanted
+    workers: int
+    progress: Progress
+    notices: Notices = field(default_factory=Notices)
+    counts: dict[str, int | float | str] = field(default_factory=dict)
+    detail: str = ""
+    prototypes_max: int = 0
+    key: str = ""
+    chosen: dict[int, Prototypes] = field(default_factory=dict)
+
+    @cached_property
+    def city(self) -> City:
+        """The plants and what stands around them."""
+        return read_city(self.register, config=self.config, notices=self.notices, bbox=self.wanted.bbox)
+
+    @cached_property
+    def pieces(self) -> list[Piece]:
+        """Buildings and ground, none where they are not wanted."""
+        if not self.wanted.with_surroundings:
+            return []
+        built = build_buildings(self.city)
+        self.notices.add("W_BUILDING_SHAPE", "buildings without an area, left out", built.left_out)
+        return [*build_ground(self.city), *built.pieces]
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """What goes into each file."""
+        return provenance_of(self.register, plants=len(self.city.plants), key=self.key) | self.options
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What was asked for, as the manifest keeps it."""
+        shown = {"detail": self.detail, "prototypes_max": self.prototypes_max, "season": self.config.export.season}
+        return (shown if self.detail else {}) | (
+            {"bbox": list(self.wanted.bbox)} if self.wanted.bbox is not None else {}
+        )
+
+    def prototypes(self, most: int) -> Prototypes:
+        """Choose the shapes that a file stores, once for each number, and tell how far plants are from their own."""
+        city, count = self.city, most
+        if count not in self.chosen:
+            self.chosen[count] = choose_prototypes(city.plants, city.skeletons_of, city.season_end, count_max=count)
+        found = self.chosen[count]
+        self.counts["shapes"] = len(found.skeleton_id)
+        self.counts |= {name: round(value, 4) for name, value in found.summary().items()}
+        return found
+
+    def scenery(self, detail: str, *, most: int | None = None, bare: bool = False) -> Scenery:
+        """Put the scene together at a detail, of `most` shapes if given; `bare` leaves out what is not a plant."""
+        return build_scenery(
+            self.city,
+            self.prototypes(most or self.prototypes_max),
+            detail=detail,
+            season=self.config.export.season,
+            pieces=() if bare else self.pieces,
+            provenance=self.provenance,
+        )
+
+    def write(self, form: Format, target: Path, key: str) -> None:
+        """Write one format, at its own detail where the config names none."""
+        asked = self.config.export
+        self.detail = (asked.detail or form.detail) if form.detail else ""
+        self.prototypes_max = (asked.prototypes_max or form.prototypes_max) if form.detail else 0
+        self.key = key
+        form.write(self, target)
+
+    def zones(self) -> dict[str, str]:
+        """Return the zone of each lot."""
+        lots = read_layer(self.register, "lots", geometry=False, columns=["lot_id", "zone"])
+        return dict(zip(lots["lot_id"], lots["zone"], strict=True))
+
+
+def _glb(job: Job, path: Path) -> None:
+    write_glb(path, job.scenery(job.detail), plain=job.wanted.plain)
+
+
+def _tiles(job: Job, path: Path) -> None:
+    coarser = list(TILE_DETAILS)
+    coarser = coarser[: coarser.index(job.detail)] if job.detail in coarser else coarser
+    sceneries = {
+        detail: job.scenery(detail, most=min(TILE_DETAILS[detail], job.prototypes_max), bare=True) for detail in coarser
+    }
+    written = write_tiles(
+        path, tile_scene(sceneries | {job.detail: job.scenery(job.detail)}), provenance=job.provenance
+    )
+    job.counts |= {"tiles": written.tiles, "shared_models": written.shared_models}
+
+
+def _cityjson(job: Job, path: Path) -> None:
+    city = job.city
+    buildings = (city.local_shapes(city.buildings), city.building_height_m, city.building_id)
+    footprints, heights, ids = buildings if job.wanted.with_surroundings else (None, None, None)
+    scenery = job.scenery(job.detail, bare=True)
+    write_cityjson(
+        path, scenery, title=city.name, footprints=footprints, building_height_m=heights, building_id=ids
+    )  # fmt: skip
+
+
+def _obj(job: Job, path: Path) -> None:
+    write_species_library(path, job.scenery(job.detail, bare=True), crs=job.city.register_crs)
+
+
+def _geojson(job: Job, path: Path) -> None:
+    write_plants_geojson(job.register, path, key=job.key, bbox=job.wanted.bbox)
+
+
+def _gpkg(job: Job, path: Path) -> None:
+    city = job.city
+    write_plants_gpkg(
+        path, plant_table(city), categories=species_categories(city), provenance=job.provenance
+    )  # fmt: skip
+
+
+def _geoparquet(job: Job, path: Path) -> None:
+    write_plants_parquet(path, plant_table(job.city), provenance=job.provenance)
+
+
+def _itree(job: Job, path: Path) -> None:
+    write_itree(path, inventory_table(job.city, zones=job.zones()), provenance=job.provenance)
+
+
+def _canopy(job: Job, path: Path) -> None:
+    canopy = canopy_rasters(job.city, cell_m=job.wanted.cell_m)
+    place: dict[str, Any] = {
+        "west_m": canopy.west_m, "north_m": canopy.north_m, "cell_m": canopy.cell_m, "crs": job.city.crs,
+        "provenance": job.provenance,
+    }  # fmt: skip
+    write_canopy(path, canopy.top_m, "height", **place)
+    write_canopy(path.with_name(CANOPY_COVER), canopy.cover_percent, "cover", **place)
+
+
+FORMATS: dict[str, Format] = {
+    "glb": Format("forest.glb", _glb, "medium", 300),
+    "3dtiles": Format("tiles", _tiles, "medium", 300, is_folder=True),
+    "cityjson": Format("forest.city.json", _cityjson, "low", 200),
+    "obj": Format("species", _obj, "medium", 80, is_folder=True),
+    "geojson": Format("plants.geojson", _geojson),
+    "gpkg": Format("plants.gpkg", _gpkg),
+    "geoparquet": Format("plants.parquet", _geoparquet),
+    "itree": Format("itree.csv", _itree, companion="-metadata.json"),
+    "canopy": Format("canopy_height.tif", _canopy, second=CANOPY_COVER),
+}
+
+
+def export_formats(
+    register: Path,
+    formats: Sequence[str],
+    *,
+    config: Config,
+    seed: int,
+    wanted: Wanted | None = None,
+    path: Path | None = None,
+    workers: int = 1,
+    progress: Progress = silent,
+) -> StageSummary:
+    """Write a planted city in some formats beside its register, and name them in exports.json.
+
+    Parameters
+    ----------
+    register
+        Where `grow` has run.
+    formats
+        Names of `FORMATS`.
+    path
+        File or folder to write a single format to; its own name beside the register if None.
+
+    Raises
+    ------
+    SchemaError, StaleError
+        The register has not grown its plants; the text names the command.
+    InputError
+        Nothing lies in the box.
+    OutputError
+        A file could not be written whole.
+    """
+    started = time.perf_counter()
+    if path is not None and (two := [name for name in formats if FORMATS[name].second]):
+        raise InputError(
+            f"{two[0]} writes two files", where="-o", next_step="leave -o out: they go beside the register"
+        )
+    job = Job(register, config, seed, wanted or Wanted(), workers, progress)
+    growth = require_record(register, "grow").stage_key
+    folder = register.parent
+    progress(STAGE, 0, len(formats))
+    for number, name in enumerate(formats):
+        form = FORMATS[name]
+        key = format_key(name, growth, config=config, seed=seed, wanted=job.wanted)
+        target = path or folder / form.name
+        _refuse_in_the_way(target, form, register)
+        job.write(form, target, key)
+        if target.parent.resolve() == folder.resolve():
+            beside = [target.with_name(target.name + form.companion)] if form.companion else []
+            found = {target.name: describe_files(target, *beside)}
+            if form.second:
+                found[form.second] = describe_files(folder / form.second)
+            record_exports(
+                folder, [Export(item, name, key, growth, job.options, files) for item, files in found.items()]
+            )
+        progress(STAGE, number + 1, len(formats))
+    counts: dict[str, int | float | str] = {"plants": len(job.city.plants), **job.counts}
+    return StageSummary(STAGE, path or folder, counts, job.notices, time.perf_counter() - started)
+
+
+def export_city(
+    register: Path,
+    out: Path,
+    *,
+    config: Config,
+    seed: int,
+    key: str,
+    summaries: Sequence[Mapping[str, Any]] = (),
+    workers: int = 1,
+    progress: Progress = silent,
+) -> StageSummary:
+    """Write what `populate` writes of a planted city: forest.glb, view.png, the plants, the map and the report.
+
+    Parameters
+    ----------
+    out
+        Folder to write to.
+    key, summaries
+        As `export_outputs` takes them.
+
+    Raises
+    ------
+    SchemaError, StaleError
+        The register has not grown its plants.
+    OutputError
+        A file could not be written whole.
+    """
+    started = time.perf_counter()
+    growth = require_record(register, "grow").stage_key
+    job = Job(register, config, seed, Wanted(), workers, progress)
+    progress(STAGE, 0, CITY_STEPS)
+    form = FORMATS["glb"]
+    job.write(form, out / form.name, key)
+    progress(STAGE, 1, CITY_STEPS)
+    beside = [form.name]
+    if len(job.city.plants):
+        size = (config.export.view_width_px, config.export.view_height_px)
+        view_city(
+            job.city, out / VIEW, size_px=size, season=config.export.season, provenance=job.provenance,
+            workers=workers, progress=progress,
+        )  # fmt: skip
+        beside.append(VIEW)
+    else:
+        job.notices.add("W_NO_VIEW", f"{VIEW} not drawn, since no plant stands", 1)
+    progress(STAGE, 2, CITY_STEPS)
+    flat = export_outputs(register, out, config=config, summaries=summaries, beside=beside, key=key)
+    progress(STAGE, CITY_STEPS, CITY_STEPS)
+    job.notices.merge(flat.notices)
+    written = [*beside, *OUTPUTS]
+    formats = {form.name: "glb", "plants.geojson": "geojson"}
+    record_exports(
+        out,
+        [
+            Export(name, formats.get(name, STAGE), key, growth, {"of": written}, describe_files(out / name))
+            for name in written
+        ],
+        remove=set(CITY_OUTPUTS) - set(written),
+    )
+    counts: dict[str, int | float | str] = {**flat.counts, **job.counts, "files": len(written)}
+    return StageSummary(STAGE, out, counts, job.notices, time.perf_counter() - started)
+
+
+def city_outputs(exports: Mapping[str, Export], key: str) -> list[Export]:
+    """Return what one run of `export_city` wrote; nothing where some of it is named no longer, or has another key."""
+    report = exports.get(REPORT)
+    names = report.options.get("of") if report is not None else None
+    found = [exports[name] for name in names if name in exports] if isinstance(names, list) else []
+    whole = bool(found) and len(found) == len(names or ()) and all(item.key == key for item in found)
+    return found if whole else []
+
+
+def format_key(name: str, growth: str, *, config: Config, seed: int, wanted: Wanted) -> str:
+    """Return the hash of all that decides one format's content."""
+    return stage_key(
+        f"export {name}", config=config, seed=seed, inputs=[growth, repr(wanted)], sections=("export", "species")
+    )
+
+
+def _refuse_in_the_way(target: Path, form: Format, register: Path) -> None:
+    """Refuse to replace the register, or a folder by a file and the other way round."""
+    if target.resolve() == register.resolve():
+        raise OutputExistsError("the output is the register itself", where=target, next_step="name another with -o")
+    if target.is_dir() != form.is_folder and target.exists():
+        raise OutputExistsError(
+            "the output is a folder" if target.is_dir() else "the output is a file",
+            where=target,
+            expected="a folder" if form.is_folder else "a file",
+            next_step="name another with -o",
+        )
