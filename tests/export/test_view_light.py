@@ -92,6 +92,12 @@ def test_the_sky_is_open_on_a_plain_half_hidden_by_a_wall_and_closed_in_a_crown(
     assert open_sky(thick, 0.0, 0.0, 11.0) > 0.95
 
 
-def test_places_are_lit_by_the_finest_ring_that_holds_them():
+def test_places_are_lit_by_the_finest_ring_that_holds_them_and_near_its_rim_by_the_next_too():
     rings = (ring(40.0), ring(160.0), ring(640.0))
-    assert [ring_at(rings, x, 0.0, 0.0, 0.5) for x in (0.0, 50.0, 200.0, 900.0)] == [0, 1, 2, 3]
+    found = [ring_at(rings, x, 0.0, 0.0) for x in (0.0, 50.0, 200.0, 900.0)]
+    assert [which for which, _ in found] == [0, 1, 2, 3]
+    assert [share for _, share in found] == [0, 0, 0, 0]
+    seams = [ring_at(rings, x, 0.0, 0.0)[1] for x in (17.0, 18.0, 19.0, 19.8)]
+    assert (np.diff(seams) > 0).all()
+    assert 0 < seams[-1] <= 1
+    assert ring_at(rings, 19.9, 0.0, 0.0)[0] == 1

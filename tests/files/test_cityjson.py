@@ -10,9 +10,9 @@ import pytest
 import shapely
 from pyproj import CRS
 
-from tests.reference.gltf_scenes import MODELS, scene
+from tests.reference.gltf_scenes import MODELS, cone, scene
 from urbanforest_cli.core.errors import InputError, OutputError
-from urbanforest_cli.core.scenery import Origin, Property
+from urbanforest_cli.core.scenery import Model, Origin, Part, Property
 from urbanforest_cli.files import cityjson, cityjson_text
 from urbanforest_cli.files.cityjson import epsg_code, write_cityjson
 from urbanforest_cli.files.cityjson_reader import read_plants, read_provenance
@@ -36,6 +36,8 @@ HOUSES = {
     "building_id": np.array(["a", "a", "日本", "empty", "thin"], dtype=object),
 }
 NAMES = ["forest.city.json", "forest.city.jsonl"]
+SPECK = Model("speck", (Part(cone(0.0004, 0.0002, lean=(0.0, 0.0)), 1),))  # its corners are one, in millimetres
+OWN_CRS = CRS.from_proj4("+proj=tmerc +lat_0=50.1 +lon_0=14.37 +datum=WGS84 +units=m")
 
 
 def written(path, content=None, **options):
@@ -77,23 +79,59 @@ def test_plants_come_back_where_they_stand_to_a_millimetre(tmp_path, name):
     assert read_provenance(tmp_path / name) == {"stage": "export", "seed": "7"}
 
 
-def test_every_file_is_what_the_standard_asks_for(tmp_path):
-    check = jsonschema_rs.validator_for(loaded(SCHEMA))
-    for number, content in enumerate([scene(30, points=4), scene(5, scaled=False), scene(0), scene(0, points=3)]):
-        path = tmp_path / f"{number}.city.json"
+def scenes():
+    yield from (scene(30, points=4), scene(5, scaled=False), scene(0), scene(0, points=3))
+    yield from (scene(9, models=(MODELS[1], SPECK)), scene(3, models=(SPECK,)))
+    yield replace(scene(30), origin=Origin(OWN_CRS, 10.0, 20.0))
+
+
+def mistaken(document):
+    """Copies of a document, each with a mistake."""
+    for spoil in (
+        lambda document, plant, geometry: geometry["transformationMatrix"].pop(),
+        lambda document, plant, geometry: geometry.pop("transformationMatrix"),
+        lambda document, plant, geometry: geometry["transformationMatrix"].__setitem__(0, "1.0"),
+        lambda document, plant, geometry: plant.update(type="SolitaryVegetation"),
+        lambda document, plant, geometry: document["geometry-templates"]["templates"][0].update(lod=2),
+    ):
+        broken = copy.deepcopy(document)
+        plant = next(iter(broken["CityObjects"].values()))
+        spoil(broken, plant, plant["geometry"][0])
+        yield broken
+
+
+def assert_all_are_valid(check, folder):
+    for number, content in enumerate(scenes()):
+        path = folder / f"{number}.city.json"
         written(path, content)
         check.validate(loaded(path))
+    assert [check.is_valid(broken) for broken in mistaken(loaded(folder / "0.city.json"))] == [False] * 5
+
+
+def test_every_file_is_what_the_standard_asks_for(tmp_path):
+    check = jsonschema_rs.validator_for(loaded(SCHEMA))
+    assert_all_are_valid(check, tmp_path)
     broken = loaded(tmp_path / "0.city.json")
-    next(iter(broken["CityObjects"].values()))["geometry"][0]["transformationMatrix"].pop()
+    broken["metadata"]["urbanforest"] = broken.pop("urbanforest")  # 2.0.0 has no names but its own there
     assert not check.is_valid(broken)
 
 
 def test_the_official_schema_passes_where_it_is_at_hand(tmp_path):
     if "URBANFOREST_CITYJSON_SCHEMA" not in os.environ:
         pytest.skip("URBANFOREST_CITYJSON_SCHEMA is not set: it names cityjson.min.schema.json of version 2.0")
-    written(tmp_path / "forest.city.json")
     schema = loaded(Path(os.environ["URBANFOREST_CITYJSON_SCHEMA"]))
-    jsonschema_rs.validator_for(schema).validate(loaded(tmp_path / "forest.city.json"))
+    assert_all_are_valid(jsonschema_rs.validator_for(schema), tmp_path)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_plant_smaller_than_a_millimetre_is_a_point_where_it_stands(tmp_path, name):
+    content = written(tmp_path / name, scene(6, models=(SPECK,)))
+    lines = (tmp_path / name).read_text(encoding="utf-8").splitlines()
+    shapes = json.loads(lines[0] if name.endswith("l") else "".join(lines))["geometry-templates"]
+    assert {template["type"] for template in shapes["templates"]} == {"MultiPoint"}
+    assert all(shapes["vertices-templates"][template["boundaries"][0]] == [0, 0, 0] for template in shapes["templates"])
+    place = [content.origin.easting_m, content.origin.northing_m, content.origin.height_m]
+    assert np.abs(read_plants(tmp_path / name).xyz_m - content.instances.xyz_m - place).max() <= 0.00051
 
 
 def test_another_program_reads_both_forms_and_finds_everything(tmp_path):
@@ -215,12 +253,11 @@ def test_the_extent_holds_every_corner(tmp_path):
 
 
 def test_a_crs_without_a_code_has_no_reference_system_but_its_wkt(tmp_path):
-    own = CRS.from_proj4("+proj=tmerc +lat_0=50.1 +lon_0=14.37 +datum=WGS84 +units=m")
-    content = replace(scene(3), origin=Origin(own, 10.0, 20.0))
+    content = replace(scene(3), origin=Origin(OWN_CRS, 10.0, 20.0))
     written(tmp_path / "forest.city.json", content)
     metadata = loaded(tmp_path / "forest.city.json")["metadata"]
     assert "referenceSystem" not in metadata
-    assert read_plants(tmp_path / "forest.city.json").crs == own
+    assert read_plants(tmp_path / "forest.city.json").crs == OWN_CRS
 
 
 def test_a_code_is_given_only_to_a_crs_that_is_the_very_same():
@@ -316,7 +353,7 @@ def spoil(document, number):
         lambda: document.pop("transform"),
         lambda: document["transform"].update(scale=[1, 2]),
         lambda: document["transform"].update(translate=[float("nan")] * 3),
-        lambda: document.update(metadata={}),
+        lambda: document.update(metadata={}, urbanforest={}),
         lambda: document["metadata"].update(referenceSystem="https://www.opengis.net/def/crs/EPSG/0/99999999"),
         lambda: document.update(vertices=[[10**400, 0, 0]] * 60),
         lambda: document.update(CityObjects=[1, 2]),

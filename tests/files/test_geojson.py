@@ -5,9 +5,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from urbanforest_cli.core.errors import OutputError
+from urbanforest_cli.core.errors import InputError, OutputError
 from urbanforest_cli.files import geojson
-from urbanforest_cli.files.geojson import bounding_box, write_points
+from urbanforest_cli.files.geojson import bounding_box, read_plants, write_points
 
 NASTY = [
     "plain",
@@ -106,3 +106,33 @@ def test_a_file_that_lost_features_is_not_published(tmp_path, monkeypatch):
         write_points(path, *frame(7))
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["p.geojson"]
+
+
+def test_plants_are_read_with_their_heights_and_those_that_do_not_stand_have_none(tmp_path):
+    degrees, properties = frame(50)
+    write_points(tmp_path / "p.geojson", degrees, properties.assign(height_m=[np.nan, *range(1, 50)]))
+    plants = read_plants(tmp_path / "p.geojson")
+    assert plants.crs.to_epsg() == 4326
+    assert plants.plant_id.tolist() == properties["plant_id"].tolist()
+    assert np.abs(plants.xyz_m[:, :2] - degrees).max() <= 5.1e-8
+    assert np.isnan(plants.height_m[0])
+    assert plants.height_m[1:].tolist() == list(range(1, 50))
+
+
+def test_an_empty_collection_has_no_plants(tmp_path):
+    write_points(tmp_path / "p.geojson", *(part[:0] for part in frame(3)))
+    assert len(read_plants(tmp_path / "p.geojson")) == 0
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", "5", '{"features": 5}', '{"features": [{}]}', '{"features": [{"properties": null, "geometry": null}]}',
+     '{"features": [{"properties": {"plant_id": "a"}, "geometry": {"coordinates": [1]}}]}',
+     '{"features": [{"properties": {"plant_id": "a"}, "geometry": {"coordinates": [[1], "x"]}}]}', "[" * 100_000],
+)  # fmt: skip
+def test_what_is_no_collection_of_plants_is_an_input_error(tmp_path, text):
+    (tmp_path / "p.geojson").write_text(text)
+    with pytest.raises(InputError, match="not a whole GeoJSON"):
+        read_plants(tmp_path / "p.geojson")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_plants(tmp_path / "nowhere.geojson")

@@ -28,6 +28,14 @@ def test_all_outputs_hold_the_same_plants_within_a_centimetre(forest, standing):
         assert name == "plants.geojson" or outputs[name]["plants"] == len(standing)
 
 
+def test_every_output_tells_what_made_it(forest):
+    for name in (*WITH_PLANTS, "canopy_height.tif", "canopy_cover.tif", "register.gpkg"):
+        record = json.loads(urbanforest("info", forest / name, "--json"))
+        told = record["stages"] if name == "register.gpkg" else record["stage_keys"]
+        assert set(told) >= {"stencil", "diffuse", "place", "grow"}, name
+    assert set(json.loads(urbanforest("info", forest / "exports.json", "--json"))["outputs"]) >= WITH_PLANTS
+
+
 @pytest.fixture
 def copy(forest, tmp_path):
     return shutil.copytree(forest, tmp_path / "copy")

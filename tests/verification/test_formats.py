@@ -11,11 +11,15 @@ from pyproj import CRS
 from tests.reference.gltf_scenes import MATERIALS, MODELS, properties_of
 from tests.verification.conftest import COUNT, DEAD, UTM, trees_frame
 from urbanforest_cli.core.crs import reproject_xy
+from urbanforest_cli.core.errors import OutputError
 from urbanforest_cli.core.scenery import Instances, Origin, Scenery
+from urbanforest_cli.export.scene.tiling import tile_scene
 from urbanforest_cli.files.cityjson import write_cityjson
 from urbanforest_cli.files.gltf import write_glb
 from urbanforest_cli.files.itree import write_itree
+from urbanforest_cli.files.obj import write_species_library
 from urbanforest_cli.files.plant_tables import write_plants_gpkg, write_plants_parquet
+from urbanforest_cli.files.tiles3d import write_tiles
 from urbanforest_cli.verification.stage import verify_outputs
 
 ORIGIN = Origin(UTM, 500_300.0, 5_300_300.0)
@@ -72,7 +76,10 @@ WRITERS = {
     "plants.gpkg": lambda path, rows: write_plants_gpkg(path, table(rows), categories=[], provenance={}),
     "plants.parquet": lambda path, rows: write_plants_parquet(path, table(rows), provenance={}),
     "itree.csv": write_inventory,
+    "species": lambda path, rows: write_species_library(path, scene(rows), crs=UTM),
+    "tiles": lambda path, rows: write_tiles(path, tile_scene({"low": scene(rows)}), provenance={}),
 }
+FILES = [name for name in WRITERS if "." in name]
 
 
 def move(rows):
@@ -116,18 +123,29 @@ def test_every_format_holds_the_plants_that_stand(out, name):
     assert verdict.largest_distance_m < 0.01
 
 
-@pytest.mark.parametrize("change", FAULTS)
-@pytest.mark.parametrize("name", WRITERS)
+UNHEARD_OF = [(name, double) for name in WRITERS if "city.json" in name or name == "tiles"]  # see the test below
+
+
+@pytest.mark.parametrize(
+    ("name", "change"), [(name, change) for name in WRITERS for change in FAULTS if (name, change) not in UNHEARD_OF]
+)
 def test_a_fault_planted_in_any_format_is_told(out, name, change):
-    if change is double and "city.json" in name:
-        pytest.skip("CityJSON cannot hold a plant twice, and its writer refuses to")
     WRITERS[name](out / name, change(standing()))
     (verdict,) = verify_outputs(out, [out / name])
     assert verdict.state == "differs"
     assert [fault.split(" (")[0] for fault in verdict.faults] == FAULTS[change]
 
 
-@pytest.mark.parametrize("name", WRITERS)
+def test_a_plant_twice_is_refused_by_the_writer_of_cityjson_and_by_the_reader_of_tiles(out):
+    with pytest.raises(OutputError, match="share a plant_id"):
+        WRITERS["forest.city.json"](out / "forest.city.json", double(standing()))
+    WRITERS["tiles"](out / "tiles", double(standing()))
+    (verdict,) = verify_outputs(out, [out / "tiles"])
+    assert verdict.state == "unreadable"
+    assert "twice" in verdict.faults[0] or "several" in verdict.faults[0]
+
+
+@pytest.mark.parametrize("name", FILES)
 def test_no_format_cut_anywhere_is_a_fault_of_the_program(out, name):
     WRITERS[name](out / name, standing())
     content = (out / name).read_bytes()
@@ -138,10 +156,19 @@ def test_no_format_cut_anywhere_is_a_fault_of_the_program(out, name):
         assert verdict.faults
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", FILES)
 def test_no_format_with_bytes_flipped_is_a_fault_of_the_program(out, name):
     WRITERS[name](out / name, standing())
     content = (out / name).read_bytes()
     for place in np.random.default_rng(2).integers(0, len(content), 12).tolist():
         (out / name).write_bytes(content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :])
         verify_outputs(out, [out / name])
+
+
+def test_a_tileset_without_one_of_its_contents_is_told_even_where_no_manifest_names_it(out):
+    WRITERS["tiles"](out / "tiles", standing())
+    content = next(iter(sorted((out / "tiles").rglob("*.glb"))))
+    content.unlink()
+    (verdict,) = verify_outputs(out, [out / "tiles"])
+    assert (verdict.state, verdict.recorded) == ("unreadable", False)
+    assert verdict.faults

@@ -61,6 +61,10 @@ def _count(context: click.Context, parameter: click.Parameter, value: str | None
     "--cell", "cell_m", type=click.FloatRange(0.1, 100), default=1.0, show_default=True, metavar="METRES",
     help="Cell of the canopy rasters.",
 )  # fmt: skip
+@click.option(
+    "--ground-height", "ground_height_m", type=click.FloatRange(-500, 9000), default=0.0, metavar="METRES",
+    help="Height of the ground in 3D Tiles, above the ellipsoid of WGS 84.  [default: 0]",
+)  # fmt: skip
 @options.config_opts
 @options.workers_opt
 @options.json_opt
@@ -76,6 +80,7 @@ def command(
     plain: bool,
     no_ground: bool,
     cell_m: float,
+    ground_height_m: float,
     config_path: Path | None,
     settings: tuple[str, ...],
     seed: int | None,
@@ -104,7 +109,9 @@ def command(
     asked = {"export.detail": detail, "export.season": season, "export.prototypes_max": prototypes}
     settings += tuple(f"{name}={value}" for name, value in asked.items() if value is not None)
     config, seed = options.load(config_path, settings, seed, register)
-    wanted = Wanted(bbox=bbox, plain=plain, with_surroundings=not no_ground, cell_m=cell_m)
+    wanted = Wanted(
+        bbox=bbox, plain=plain, with_surroundings=not no_ground, cell_m=cell_m, ground_height_m=ground_height_m
+    )
     with folder_lock(register.parent), options.progress() as progress:
         summary = export_formats(
             register, formats, path=path, config=config, seed=seed, wanted=wanted, workers=workers, progress=progress

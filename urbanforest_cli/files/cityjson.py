@@ -56,7 +56,8 @@ def write_cityjson(
     """Publish a scene as CityJSON, or as CityJSONSeq where the name ends in ``.jsonl``.
 
     A mirrored plant takes a second template whose faces are turned round, so that none shows its inside. Where the
-    CRS has no EPSG code there is no `referenceSystem`; its WKT is in ``metadata.urbanforest`` in any case.
+    CRS has no EPSG code there is no `referenceSystem`; its WKT is in the member ``urbanforest`` in any case, beside
+    `metadata`, which schema 2.0.0 keeps to the standard's own names.
 
     Parameters
     ----------
@@ -162,16 +163,16 @@ def _header(scenery: Scenery, title: str | None, steps: NDArray[np.int64], block
     code = epsg_code(origin.crs)
     if code is not None:
         metadata["referenceSystem"] = f"{CRS_URL}{code}"
-    metadata[OWN] = {
-        "crs_wkt": origin.crs.to_wkt(),
-        "axes": "x east, y north, z up, metres; heights are above the ground",
-        "provenance": dict(scenery.provenance),
-    }
     header: dict[str, Any] = {
         "type": "CityJSON",
         "version": VERSION,
         "transform": {"scale": [STEP_M] * 3, "translate": place},
         "metadata": metadata,
+        OWN: {
+            "crs_wkt": origin.crs.to_wkt(),
+            "axes": "x east, y north, z up, metres; heights are above the ground",
+            "provenance": dict(scenery.provenance),
+        },
     }
     if scenery.materials and len(scenery.instances):
         header["appearance"] = {"materials": [material_record(item) for item in scenery.materials]}

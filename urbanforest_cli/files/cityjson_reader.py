@@ -104,7 +104,7 @@ def read_provenance(path: Path) -> dict[str, Any] | None:
             else:
                 line = stream.readline()
                 head = _head(line) if _has_lines(line) else json.loads(line + stream.read())
-        found = head["metadata"].get(OWN, {}).get("provenance") if "metadata" in head else None
+        found = head.get(OWN, {}).get("provenance")
     except OSError as error:
         raise _wrong(path, error.strerror or str(error)) from error
     except _FAULTS as error:
@@ -205,11 +205,10 @@ def _placed(head: dict[str, Any], found: _Found, vertices: list[list[float]]) ->
 
 
 def _crs(head: dict[str, Any]) -> CRS:
-    metadata = head.get("metadata", {})
-    url = metadata.get("referenceSystem")
+    url = head.get("metadata", {}).get("referenceSystem")
     if isinstance(url, str) and url.startswith(CRS_URL):
         return CRS.from_epsg(int(url.removeprefix(CRS_URL)))
-    return CRS.from_wkt(metadata[OWN]["crs_wkt"])
+    return CRS.from_wkt(head[OWN]["crs_wkt"])
 
 
 def _wrong(path: Path, found: str) -> InputError:

@@ -110,7 +110,10 @@ def material_record(material: Material) -> dict[str, Any]:
 
 
 def surfaces_of(model: Model) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return a model's corners in steps, each once, its triangles that enclose anything, and their materials."""
+    """Return a model's corners in steps, each once, its triangles that enclose anything, and their materials.
+
+    Where nothing encloses anything there is one corner, the root, no material, and a "triangle" of that corner alone.
+    """
     steps, triangles, materials = [np.zeros((0, 3), np.int64)], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
     first = 0
     for part in model.parts:
@@ -123,16 +126,18 @@ def surfaces_of(model: Model) -> tuple[NDArray[np.int64], NDArray[np.int64], NDA
     triangle = place.reshape(-1)[np.concatenate(triangles)]
     a, b, c = triangle.T
     sound = (a != b) & (b != c) & (c != a)
+    if not sound.any():
+        return np.zeros((1, 3), np.int64), np.zeros((1, 1), np.int64), np.zeros(0, np.int64)
     used, corner = np.unique(triangle[sound], return_inverse=True)
     return once[used], corner.reshape(-1, 3), np.concatenate(materials)[sound]
 
 
 def template_text(triangle: NDArray[np.int64], material: NDArray[np.int64], lod: str) -> bytes:
-    """Return a template as JSON, its corners by their numbers in the file."""
+    """Return a template as JSON, its corners by their numbers in the file; a point where it has no surface."""
+    if not len(material):
+        return json_text({"type": "MultiPoint", "lod": lod, "boundaries": triangle.ravel().tolist()}).encode()
     faces = decimal_rows(triangle, 0, ["[[", ",", ",", "]],"])[:-1]
     head = f'{{"type":"MultiSurface","lod":"{lod}","boundaries":['.encode()
-    if not len(material):
-        return head + b"]}"
     if (material == material[0]).all():
         value = f'"value":{material[0]}'.encode()
     else:

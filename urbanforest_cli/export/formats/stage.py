@@ -60,12 +60,15 @@ class Wanted:
         Buildings, lots and roads too.
     cell_m
         Of canopy rasters.
+    ground_height_m
+        Of 3D Tiles, above the ellipsoid of WGS 84.
     """
 
     bbox: Bounds | None = None
     plain: bool = False
     with_surroundings: bool = True
     cell_m: float = 1.0
+    ground_height_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -182,9 +185,8 @@ def _tiles(job: Job, path: Path) -> None:
     sceneries = {
         detail: job.scenery(detail, most=min(TILE_DETAILS[detail], job.prototypes_max), bare=True) for detail in coarser
     }
-    written = write_tiles(
-        path, tile_scene(sceneries | {job.detail: job.scenery(job.detail)}), provenance=job.provenance
-    )
+    scene = tile_scene(sceneries | {job.detail: job.scenery(job.detail)}, ground_height_m=job.wanted.ground_height_m)
+    written = write_tiles(path, scene, provenance=job.provenance)
     job.counts |= {"tiles": written.tiles, "shared_models": written.shared_models}
 
 

@@ -23,6 +23,7 @@ PITCH_DEG = 17.0
 TOP_SHARE = 0.18  # from the upper edge to the far end of the city, as a share of the picture's height
 SHIFT_SHARES = (-0.10, 0.35)  # how far the lens may be shifted for that
 FOREGROUND_M = 330.0  # width of the city that a large city's foreground shows
+SHARP_SHARE, SHARP_AHEAD = 1.5, -0.02  # width of the finest shadows, and their middle, in widths of the foreground
 HAZE_SHARE = 4.0  # haze takes 63 % of the light of what is so many times as far as the foreground
 PLACES_MAX = 24
 CELL_M = 20.0  # of the grid in which the most interesting part is sought
@@ -69,9 +70,10 @@ def aerial(city: City, *, size_px: tuple[int, int], sun: Sun | None, bounds: Flo
     assert shot is not None  # there is always a place and a direction
     camera, focus, azimuth = shot
     turn = np.radians(azimuth)
-    middle = focus + 0.10 * width * np.array([np.sin(turn), np.cos(turn)])
+    middle = focus + SHARP_AHEAD * width * np.array([np.sin(turn), np.cos(turn)])
     away = float(np.hypot(*(focus - np.array(camera.eye_m[:2]))))
-    weather = Weather(*(sun or _sun_beside(azimuth)), (float(middle[0]), float(middle[1])), 1.35 * width, 1.2 * away,
+    place_of_sun = sun or _sun_beside(azimuth)
+    weather = Weather(*place_of_sun, (float(middle[0]), float(middle[1])), SHARP_SHARE * width, 1.2 * away,
                       HAZE_SHARE * away)  # fmt: skip
     return Shot(camera, weather)
 

@@ -33,7 +33,7 @@ from urbanforest_cli.export.view.shade_kernel import shade_rows
 BANDS = 16
 BATCH, READ = 160, 960  # shapes built and read at a time
 SHORTEST_LEAF_PX = 2.4  # of the drawn picture, before it is averaged
-THINNEST_WOOD_PX = 0.12  # radius
+THINNEST_WOOD_PX, THINNEST_BARE_PX = 0.12, 0.015  # radius; of bare crowns, that are nothing but thin wood
 SHADE_LEAVES = (6000, 900, 150)  # most leaves a plant that cast shade in each ring
 LEAF_EXTINCTION = 0.6
 
@@ -119,6 +119,7 @@ def _draw_all_plants(
     species = np.zeros(len(shapes), np.int64)
     species[which] = plants.species
 
+    thinnest_px = THINNEST_WOOD_PX if setting.leafy else THINNEST_BARE_PX
     held: dict[int, Skeletons] = {}  # the block read last
 
     def batch(start: int) -> tuple[Models, Instances]:
@@ -131,14 +132,14 @@ def _draw_all_plants(
         kinds = [looks[number] for number in species[start : start + BATCH]]
         scale_px = most[start : start + BATCH]
         models = build_models(skeletons, city.season_end(skeletons), kinds, shortest_m=SHORTEST_LEAF_PX / scale_px,
-                              thinnest_m=THINNEST_WOOD_PX / scale_px, leafy=setting.leafy)  # fmt: skip
+                              thinnest_m=thinnest_px / scale_px, leafy=setting.leafy)  # fmt: skip
         mine = np.flatnonzero((which >= start) & (which < start + BATCH))
         model = which[mine] - start
         blade = np.maximum([look.blade_m[0] for look in kinds], SHORTEST_LEAF_PX / scale_px)[model]
         share = np.minimum(blade * need[mine] / SHORTEST_LEAF_PX, 1.0) ** 2
         return models, place_models(
             models, model, place[mine], yaw_rad=plants.yaw_rad[mine], mirror=plants.mirror[mine],
-            scale=plants.scale[mine], leaf_share=share, thinnest_m=THINNEST_WOOD_PX / need[mine],
+            scale=plants.scale[mine], leaf_share=share, thinnest_m=thinnest_px / need[mine],
         )  # fmt: skip
 
     starts = range(0, len(shapes), BATCH)

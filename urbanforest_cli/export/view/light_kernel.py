@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from urbanforest_cli.export.view.draw_kernel import matrix_of
 
 OPAQUE = 4.0  # optical depth a metre of a house, for the light of the sky
-RAY_COUNT = 9
+RIM_SHARE, SEAM_SHARE = 0.004, 0.07  # of a ring's width: what is not used, and what is mixed with the next ring
 
 
 class Ring(NamedTuple):
@@ -178,18 +178,27 @@ def open_up(ring, rays):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def ring_at(rings, x, y, z, jitter):
-    """Return which ring lights a place: the finest that holds it; the seams are blurred by `jitter`, 0 to 1."""
+def inside_by(ring, x, y, z):
+    """Return how far from a ring's rim a place and its shade lie, in shares of its width; below 0 outside."""
+    width = ring.cell * ring.shade.shape[2]
+    low_x, high_x = min(x, x - z * ring.slant[0]), max(x, x - z * ring.slant[0])
+    low_y, high_y = min(y, y - z * ring.slant[1]), max(y, y - z * ring.slant[1])
+    west, south = low_x - ring.low[0], low_y - ring.low[1]
+    east, north = ring.low[0] + width - high_x, ring.low[1] + width - high_y
+    return min(min(west, east), min(south, north)) / width
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ring_at(rings, x, y, z):
+    """Return which ring lights a place, the finest that holds it, and what share of its light is the next one's."""
     for r in range(len(rings)):
-        ring = rings[r]
-        u = (x - z * ring.slant[0] - ring.low[0]) / ring.cell
-        v = (y - z * ring.slant[1] - ring.low[1]) / ring.cell
-        rim = ring.shade.shape[2] * (0.01 + 0.08 * jitter) if r < len(rings) - 1 else 1.0
-        inside = rim < u < ring.shade.shape[2] - rim and rim < v < ring.shade.shape[1] - rim
-        p, q = (x - ring.low[0]) / ring.cell, (y - ring.low[1]) / ring.cell
-        if inside and rim < p < ring.shade.shape[2] - rim and rim < q < ring.shade.shape[1] - rim:
-            return r
-    return len(rings)
+        far = inside_by(rings[r], x, y, z)
+        if far > RIM_SHARE:
+            seam = 0.0
+            if r < len(rings) - 1:
+                seam = max(1.0 - (far - RIM_SHARE) / SEAM_SHARE, 0.0)
+            return r, seam
+    return len(rings), 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

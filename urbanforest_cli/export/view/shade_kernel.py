@@ -75,6 +75,34 @@ def sky_at(light, dx, dy, dz):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def light_in(ring, light, kind, x, y, z, wx, wy, wz, facing, j0, j1, j2):
+    """Return the shares of sun and sky at a place whose surface looks along (wx, wy, wz).
+
+    `facing` is the share of the normal toward the sun; `j0`, `j1`, `j2` are numbers by chance from -0.5 to 0.5 that
+    blur the edges of cells.
+    """
+    step, off = 0.1 + 0.8 * ring.cell, 0.04
+    if kind == LEAF:
+        step, off = 0.9 + 0.8 * j2, 0.0
+    elif kind == WOOD:
+        step, off = 0.7 + 0.4 * j2, 0.35
+    elif kind in (WALL, GLASS, ROOF):  # so that a face does not shade itself
+        off += 1.5 * ring.cell * (1.0 - facing)
+    sunny = 1.0
+    if facing > 0 or kind == LEAF:
+        sx, sy, sz = x + light.sun[0] * step + wx * off, y + light.sun[1] * step + wy * off, (
+            z + light.sun[2] * step + wz * off)  # fmt: skip
+        blur = 0.8 * ring.cell
+        sunny = beside_houses(ring, sx + blur * j0, sy + blur * j1, sz)
+        if sunny > 0:
+            sunny *= np.exp(-leaf_depth(ring, sx + 0.3 * blur * j0, sy + 0.3 * blur * j1, sz))
+    if kind in (LEAF, WOOD):
+        return sunny, open_sky(ring, x, y, z + 0.3)
+    lift = 0.6 * ring.sky_cell if abs(wz) > 0.5 else 1.1 * ring.sky_cell
+    return sunny, open_sky(ring, x + wx * lift, y + wy * lift, z + 0.05)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def shade_rows(canvas, view, rings, light, factor, out, top, bottom):
     """Light the rows from `top` to `bottom` of the picture `out` (h, w, 3), `factor` squared places of it a pixel."""
     width = out.shape[1]
@@ -123,35 +151,17 @@ def shade_rows(canvas, view, rings, light, factor, out, top, bottom):
                 j0 = float(bits & np.uint64(0xFFFF)) / 65535.0 - 0.5
                 j1 = float((bits >> np.uint64(16)) & np.uint64(0xFFFF)) / 65535.0 - 0.5
                 j2 = float((bits >> np.uint64(32)) & np.uint64(0xFFFF)) / 65535.0 - 0.5
-                sunny, sky = 1.0, 1.0
-                which = ring_at(rings, x, y, z, j0 + 0.5)
                 # The normal in the scene moves the place off its own surface.
                 wx = view.axes[0, 0] * n0 + view.axes[1, 0] * n1 + view.axes[2, 0] * n2
                 wy = view.axes[0, 1] * n0 + view.axes[1, 1] * n1 + view.axes[2, 1] * n2
                 wz = view.axes[0, 2] * n0 + view.axes[1, 2] * n1 + view.axes[2, 2] * n2
+                sunny, sky = 1.0, 1.0
+                which, seam = ring_at(rings, x, y, z)
                 if which < len(rings):
-                    ring = rings[which]
-                    step, off = 0.1 + 0.8 * ring.cell, 0.04
-                    if kind == LEAF:
-                        step, off = 0.5 + 0.8 * (j2 + 0.5), 0.0
-                    elif kind == WOOD:
-                        step, off = 0.5 + 0.4 * (j2 + 0.5), 0.35
-                    elif kind in (WALL, GLASS, ROOF):  # so that a face does not shade itself
-                        off += 1.5 * ring.cell * (1.0 - facing)
-                    if facing > 0 or kind == LEAF:
-                        sx, sy, sz = x + light.sun[0] * step + wx * off, y + light.sun[1] * step + wy * off, (
-                            z + light.sun[2] * step + wz * off)  # fmt: skip
-                        wobble = 0.4 * ring.cell
-                        clear = beside_houses(ring, sx + 2 * wobble * j0, sy + 2 * wobble * j1, sz)
-                        if clear > 0:
-                            through = leaf_depth(ring, sx + 0.6 * wobble * j0, sy + 0.6 * wobble * j1, sz)
-                            clear *= np.exp(-through)
-                        sunny = clear
-                    lift = 0.6 * ring.sky_cell if abs(wz) > 0.5 else 1.1 * ring.sky_cell
-                    if kind in (LEAF, WOOD):
-                        sky = open_sky(ring, x, y, z + 0.3)
-                    else:
-                        sky = open_sky(ring, x + wx * lift, y + wy * lift, z + 0.05)
+                    sunny, sky = light_in(rings[which], light, kind, x, y, z, wx, wy, wz, facing, j0, j1, j2)
+                    if seam > 0:
+                        more, above = light_in(rings[which + 1], light, kind, x, y, z, wx, wy, wz, facing, j0, j1, j2)
+                        sunny, sky = sunny + seam * (more - sunny), sky + seam * (above - sky)
                 albedo_r = (canvas.rgb[row, column, 0] / 255.0) ** 2
                 albedo_g = (canvas.rgb[row, column, 1] / 255.0) ** 2
                 albedo_b = (canvas.rgb[row, column, 2] / 255.0) ** 2
