@@ -13,7 +13,8 @@ from urbanforest_cli.export.plant_camera import Camera, view_from
 from urbanforest_cli.export.plant_looks import look_of
 from urbanforest_cli.export.view import draw
 from urbanforest_cli.export.view.draw import blank_canvas, view_of
-from urbanforest_cli.export.view.draw_kernel import LAWN, LEAF, WALL, draw_faces, draw_plain, draw_plants
+from urbanforest_cli.export.view.draw_kernel import LAWN, LEAF, WALL, draw_plants
+from urbanforest_cli.export.view.faces_kernel import draw_faces, draw_plain
 from urbanforest_cli.export.view.models import build_models, place_models
 from urbanforest_cli.export.view.picture import KINDS, choose_shot, draw_view
 

@@ -31,9 +31,8 @@ def inventory():
 
 
 def canopy(path):
-    write_canopy(
-        path, np.ones((4, 4), np.float32), "height", west_m=500_000, north_m=5_000_000, cell_m=1, crs=UTM, provenance=MADE
-    )  # fmt: skip
+    place = {"west_m": 500_000, "north_m": 5_000_000, "cell_m": 1, "crs": UTM}
+    write_canopy(path, np.ones((4, 4), np.float32), "height", **place, provenance=MADE)
 
 
 WRITERS = {

@@ -30,7 +30,7 @@ def test_the_validator_finds_nothing_wrong_with_any_file(node, forest, corner, t
     for options in (*(("--detail", detail) for detail in DETAILS), ("--plain", "--detail", "low")):
         files.append(tmp_path / f"{'-'.join(options).strip('-')}.glb")
         urbanforest(
-            "export", forest, "--to", "glb", "-o", files[-1], "--prototypes", 20, "--bbox", *corner, *options, "-q"
+            "export", forest, "--to", "glb", "-o", files[-1], "--prototypes", 8, "--bbox", *corner, *options, "-q"
         )
     reports = node("validate.mjs", files=[str(file) for file in files])
     assert len(reports) == len(files)

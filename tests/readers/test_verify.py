@@ -8,6 +8,7 @@ from contextlib import closing
 import pytest
 
 from tests.readers.conftest import urbanforest
+from urbanforest_cli.files.describe import describe_output
 from urbanforest_cli.verification.stage import verify_outputs
 
 pytestmark = pytest.mark.readers
@@ -30,10 +31,10 @@ def test_all_outputs_hold_the_same_plants_within_a_centimetre(forest, standing):
 
 def test_every_output_tells_what_made_it(forest):
     for name in (*WITH_PLANTS, "canopy_height.tif", "canopy_cover.tif", "register.gpkg"):
-        record = json.loads(urbanforest("info", forest / name, "--json"))
+        record = describe_output(forest / name)
         told = record["stages"] if name == "register.gpkg" else record["stage_keys"]
         assert set(told) >= {"stencil", "diffuse", "place", "grow"}, name
-    assert set(json.loads(urbanforest("info", forest / "exports.json", "--json"))["outputs"]) >= WITH_PLANTS
+    assert set(describe_output(forest / "exports.json")["outputs"]) >= WITH_PLANTS
 
 
 @pytest.fixture

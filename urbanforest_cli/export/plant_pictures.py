@@ -24,10 +24,9 @@ from urbanforest_cli.export.view.draw_kernel import (
     Instances,
     Models,
     View,
-    draw_faces,
-    draw_plain,
     draw_plants,
 )
+from urbanforest_cli.export.view.faces_kernel import draw_faces, draw_plain
 from urbanforest_cli.export.view.light import ring_over
 from urbanforest_cli.export.view.light_kernel import Ring
 from urbanforest_cli.export.view.models import build_models, model_of, place_models

@@ -21,10 +21,9 @@ from urbanforest_cli.export.view.draw_kernel import (
     Instances,
     Models,
     View,
-    draw_faces,
-    draw_plain,
     draw_plants,
 )
+from urbanforest_cli.export.view.faces_kernel import draw_faces, draw_plain
 from urbanforest_cli.export.view.ground import Surfaces
 from urbanforest_cli.export.view.light import Weather, light_of, rings_for
 from urbanforest_cli.export.view.models import build_models, place_models

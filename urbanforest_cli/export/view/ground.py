@@ -14,7 +14,8 @@ from urbanforest_cli.core.zones import ZONE_COLOURS
 from urbanforest_cli.export.plant_scene import Rgb, linear
 from urbanforest_cli.export.scene.buildings import build_buildings
 from urbanforest_cli.export.scene.city import City
-from urbanforest_cli.export.view.draw_kernel import BAY_M, GROUND, KERB, LAWN, PAVING, ROAD, ROOF, WALL
+from urbanforest_cli.export.view.draw_kernel import GROUND, KERB, LAWN, PAVING, ROAD, ROOF, WALL
+from urbanforest_cli.export.view.faces_kernel import BAY_M
 
 FloatArray = NDArray[np.float64]
 PLAIN_RGB: Rgb = (0.60, 0.63, 0.48)
