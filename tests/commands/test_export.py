@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from urbanforest_cli.files.geopackage import read_layer
-from urbanforest_cli.files.gltf_reader import read_plants
+from urbanforest_cli.files.gltf_reader import read_plants, read_provenance
 from urbanforest_cli.files.manifest import faults_of, read_manifest
 
 ALL = "glb,3dtiles,cityjson,obj,geojson,gpkg,geoparquet,itree,canopy"
@@ -79,8 +79,8 @@ def test_prototypes_are_at_most_as_many_as_asked_for(out, runner):
     every = json.loads(runner("export", out, "--to", "glb", "--prototypes", "all", "--json").stdout)["counts"]
     assert few["shapes"] <= max(6, len(read_layer(out / "register.gpkg", "trees")["species"].unique()))
     assert every["shapes"] > few["shapes"]
-    assert every["outline_error_median"] == 0.0
-    assert every["own_shape_fraction"] == 1.0
+    assert every["outline_error_worst_tenth"] == 0.0 < few["outline_error_worst_tenth"]
+    assert read_provenance(out / "forest.glb")["prototypes"]["own_shape_fraction"] == 1.0
 
 
 def test_plain_is_larger_and_has_no_extension(out, runner):

@@ -150,7 +150,6 @@ def progress() -> Iterator[Progress]:
     logging.getLogger("numba").setLevel(logging.WARNING)
     for name in ("matplotlib", "PIL"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    logging.getLogger("rasterio").setLevel(logging.ERROR)  # it warns of drivers kept out that it has not got
     if quiet():
         yield silent
     elif sys.stderr.isatty():

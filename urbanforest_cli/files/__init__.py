@@ -4,6 +4,7 @@ Importing this package takes the drivers out of GDAL that follow references from
 It stands here because GDAL reads these settings once, when a package that carries it is imported.
 """
 
+import logging
 import os
 
 _LINKING_DRIVERS = {
@@ -15,3 +16,5 @@ for _name, _drivers in _LINKING_DRIVERS.items():
     os.environ[_name] = ",".join(filter(None, (os.environ.get(_name), _drivers)))
 os.environ["CPL_VSIL_CURL_ALLOWED_FILENAME"] = "/none"
 os.environ["PROJ_NETWORK"] = "OFF"
+# The GDAL of rasterio has fewer drivers than that of pyogrio, and tells of each that it cannot take out.
+logging.getLogger("rasterio._env").addFilter(lambda record: "to unload from GDAL_SKIP" not in record.getMessage())

@@ -40,6 +40,7 @@ from urbanforest_cli.files.tiles3d import write_tiles
 
 STAGE = "export"
 CITY_STEPS = 3
+TOLD = ("shapes", "outline_error_median", "outline_error_worst_tenth")
 TILE_DETAILS = {"point": 1, "billboard": 60, "low": 120}
 """Details of far tiles from coarse to fine, and the most shapes of each."""
 CANOPY_COVER = "canopy_cover.tif"
@@ -112,6 +113,7 @@ class Job:
     prototypes_max: int = 0
     key: str = ""
     chosen: dict[int, Prototypes] = field(default_factory=dict)
+    shown: dict[str, int | float] = field(default_factory=dict)
 
     @cached_property
     def city(self) -> City:
@@ -146,19 +148,22 @@ class Job:
         if count not in self.chosen:
             self.chosen[count] = choose_prototypes(city.plants, city.skeletons_of, city.season_end, count_max=count)
         found = self.chosen[count]
-        self.counts["shapes"] = len(found.skeleton_id)
-        self.counts |= {name: round(value, 4) for name, value in found.summary().items()}
+        self.shown = {"shapes": len(found.skeleton_id)} | {
+            name: round(value, 4) for name, value in found.summary().items()
+        }
+        self.counts |= {name: self.shown[name] for name in TOLD}
         return found
 
     def scenery(self, detail: str, *, most: int | None = None, bare: bool = False) -> Scenery:
         """Put the scene together at a detail, of `most` shapes if given; `bare` leaves out what is not a plant."""
+        chosen = self.prototypes(most or self.prototypes_max)
         return build_scenery(
             self.city,
-            self.prototypes(most or self.prototypes_max),
+            chosen,
             detail=detail,
             season=self.config.export.season,
             pieces=() if bare else self.pieces,
-            provenance=self.provenance,
+            provenance=self.provenance | {"prototypes": self.shown},
         )
 
     def write(self, form: Format, target: Path, key: str) -> None:
