@@ -113,7 +113,8 @@ def guarded(arguments: list[str]) -> int:
         cli.main(args=arguments, prog_name="urbanforest", standalone_mode=False)
         sys.stdout.flush()
     except _Stopped as stopped:
-        _say(f"Stopped by signal {stopped.number}. Outputs are as they were; the next run goes on from the last stage.")
+        going_on = "; the next run goes on from the last stage" if arguments[:1] == ["populate"] else ""
+        _say(f"Stopped by signal {stopped.number}. Outputs are as they were{going_on}.")
         return 128 + stopped.number
     except click.exceptions.Exit as done:
         return int(done.exit_code)

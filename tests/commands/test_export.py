@@ -1,7 +1,9 @@
 """The command as a user types it, on a small city that has grown."""
 
+import errno
 import json
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -39,9 +41,12 @@ def test_every_format_is_written_and_named_in_the_manifest(out, runner):
         "itree.csv", "canopy_height.tif", "canopy_cover.tif",
     }  # fmt: skip
     assert not [fault for export in exports.values() for fault in faults_of(out, export)]
-    counts = json.loads(outcome.stdout)["counts"]
+    told = json.loads(outcome.stdout)
+    assert [item["stage"] for item in told] == ALL.split(",")
     standing = read_layer(out / "register.gpkg", "trees")["grown"].isin(["unique", "library"]).sum()
-    assert counts["plants"] == standing == len(read_plants(out / "forest.glb"))
+    assert {item["counts"]["plants"] for item in told} == {standing}
+    assert len(read_plants(out / "forest.glb")) == standing
+    assert told[0]["counts"]["bytes"] == (out / "forest.glb").stat().st_size
 
 
 @pytest.mark.slow
@@ -94,7 +99,9 @@ def test_plain_is_larger_and_has_no_extension(out, runner):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--to", "fbx"], "fbx"),
+        (["--to", "fbx,glb,gltf"], "'fbx', 'gltf'"),
+        (["--to", "glb", "--bbox", 5, 0, 1, 2], "west south east north"),
+        (["--to", "obj", "--detail", "point"], "points have no shapes"),
         (["--to", "glb,gpkg", "-o", "x.glb"], "one format"),
         (["--to", "gpkg", "--plain"], "--plain"),
         (["--to", "glb", "--prototypes", "0"], "above 0"),
@@ -113,6 +120,47 @@ def test_the_register_itself_and_folders_are_not_replaced_by_files(out, runner):
         before = path.stat().st_mtime_ns
         assert runner("export", out, "--to", "glb", "-o", path).exit_code == 2
         assert path.stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize("form", ["3dtiles", "obj"])
+def test_a_folder_of_other_things_is_never_replaced(out, runner, tmp_path, form):
+    kept = tmp_path / "kept"
+    (kept / "sub").mkdir(parents=True)
+    (kept / "sub" / "thesis.txt").write_text("precious")
+    for folder in (kept, out, tmp_path):
+        outcome = runner("export", out, "--to", form, "-o", folder)
+        assert outcome.exit_code == 2
+        assert "would be lost" in outcome.stderr
+    assert (kept / "sub" / "thesis.txt").read_text() == "precious"
+    assert runner("export", out, "--to", form, "-o", tmp_path / "new").exit_code == 0
+    assert runner("export", out, "--to", form, "-o", tmp_path / "new").exit_code == 0
+    (tmp_path / "new" / "notes.txt").write_text("mine")
+    assert runner("export", out, "--to", form, "-o", tmp_path / "new").exit_code == 2
+
+
+def test_a_part_that_takes_the_place_of_the_whole_is_told(out, runner):
+    box = read_layer(out / "register.gpkg", "trees").total_bounds
+    assert "W_PART" not in runner("export", out, "--to", "gpkg", "--json").stdout
+    assert "W_PART" in runner("export", out, "--to", "gpkg", "--json", "--bbox", *box).stdout
+
+
+def test_a_city_is_not_taken_for_a_register_of_another_version(runner):
+    outcome = runner("export", "data_samples/sample_city.gpkg", "--to", "glb")
+    assert outcome.exit_code == 2
+    assert "a city, not a register" in outcome.stderr
+    assert "urbanforest populate" in outcome.stderr
+
+
+def test_a_full_disk_is_told_as_such_and_leaves_the_old_raster(out, runner, monkeypatch):
+    assert runner("export", out, "--to", "canopy").exit_code == 0
+    before = (out / "canopy_height.tif").read_bytes()
+
+    def full(path, content):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    assert runner("export", out, "--to", "canopy", "--cell", "2").exit_code == 74
+    assert (out / "canopy_height.tif").read_bytes() == before
 
 
 def test_plants_that_have_not_grown_are_told_with_the_command(tmp_path, tiny_city, runner):

@@ -17,9 +17,10 @@ ALL = "1000000"
 def _formats(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> tuple[str, ...]:
     """Take names with commas between apart."""
     names = tuple(dict.fromkeys(name.strip().casefold() for value in values for name in value.split(",")))
-    for name in names:
-        if name not in FORMATS:
-            raise click.BadParameter(f"{name!r} is not a format: {', '.join(FORMATS)}.", context, parameter)
+    if unknown := [name for name in names if name not in FORMATS]:
+        raise click.BadParameter(
+            f"no format {', '.join(map(repr, unknown))}; there are {', '.join(FORMATS)}.", context, parameter
+        )
     return names
 
 
@@ -102,6 +103,7 @@ def command(
         raise click.UsageError("-o names the output of one format; leave it out or export one format at a time.")
     if plain and "glb" not in formats:
         raise click.UsageError("--plain is for glb.")
+    options.refuse_inside_out(bbox)
     register = out / "register.gpkg" if out.is_dir() else out
     from urbanforest_cli.core.publish import folder_lock
     from urbanforest_cli.export.formats.stage import Wanted, export_formats
@@ -113,7 +115,10 @@ def command(
         bbox=bbox, plain=plain, with_surroundings=not no_ground, cell_m=cell_m, ground_height_m=ground_height_m
     )
     with folder_lock(register.parent), options.progress() as progress:
-        summary = export_formats(
+        summaries = export_formats(
             register, formats, path=path, config=config, seed=seed, wanted=wanted, workers=workers, progress=progress
         )
-    options.tell([summary], as_json)
+    options.tell(summaries, as_json)
+    if not as_json and not options.quiet():
+        for summary in summaries:
+            click.echo(f"Wrote {summary.output}")

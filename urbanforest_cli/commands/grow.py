@@ -65,6 +65,7 @@ def command(
     """
     asked = {"growth.environment": environment, "growth.detail": detail}
     others = {"--detail": detail, "--only": only, "--bbox": bbox, "--year": year}
+    options.refuse_inside_out(bbox)
     one_plant.refuse_strangers(register, others, one)
     if year is not None:
         _refuse_growth({"--environment": environment, "--detail": detail, "--only": only, "--bbox": bbox})

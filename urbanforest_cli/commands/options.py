@@ -106,6 +106,12 @@ def city_and_layer(city: Path, lots_layer: str | None) -> tuple[Path, str | None
     return city, lots_layer
 
 
+def refuse_inside_out(bbox: tuple[float, float, float, float] | None) -> None:
+    """Refuse a box whose edges are not west, south, east, north."""
+    if bbox is not None and not (bbox[0] < bbox[2] and bbox[1] < bbox[3]):
+        raise click.UsageError("--bbox takes west south east north: west must be below east, south below north.")
+
+
 def quiet() -> bool:
     """Tell whether the user asked for silence."""
     return verbosity() == "quiet"

@@ -68,23 +68,20 @@ def write_canopy(
             if (file.height, file.width) != values.shape or file.tags().get(TAG) is None:
                 raise OutputError("the raster was not written whole", where=path)
 
-    with publish(path, verify=verify) as part:
-        try:
-            with (
-                rasterio.Env(GDAL_PAM_ENABLED="NO"),
-                rasterio.open(
-                    part, "w", driver="COG", height=rows, width=cols, count=1, dtype=values.dtype,
-                    crs=rasterio.crs.CRS.from_wkt(crs.to_wkt()), transform=place,
-                    nodata=NODATA[str(values.dtype)], compress="DEFLATE", predictor="YES", blocksize=BLOCK_PX,
-                    overview_resampling=resampling, bigtiff="IF_SAFER", num_threads=1,
-                ) as file,
-            ):  # fmt: skip
-                file.write(values, 1)
-                file.set_band_description(1, meaning)
-                file.set_band_unit(1, unit)
-                file.update_tags(**{TAG: json.dumps(dict(provenance), ensure_ascii=True, allow_nan=False)})
-        except RasterioError as error:
-            raise OutputError("the raster could not be written", where=path, found=str(error)) from error
+    # Written in memory first: a full disk is then told by the system, not by what the TIFF library makes of it.
+    with rasterio.Env(GDAL_PAM_ENABLED="NO"), rasterio.MemoryFile() as memory:
+        with memory.open(
+            driver="COG", height=rows, width=cols, count=1, dtype=values.dtype,
+            crs=rasterio.crs.CRS.from_wkt(crs.to_wkt()), transform=place,
+            nodata=NODATA[str(values.dtype)], compress="DEFLATE", predictor="YES", blocksize=BLOCK_PX,
+            overview_resampling=resampling, bigtiff="IF_SAFER", num_threads=1,
+        ) as file:  # fmt: skip
+            file.write(values, 1)
+            file.set_band_description(1, meaning)
+            file.set_band_unit(1, unit)
+            file.update_tags(**{TAG: json.dumps(dict(provenance), ensure_ascii=True, allow_nan=False)})
+        with publish(path, verify=verify) as part:
+            part.write_bytes(memory.getbuffer())
 
 
 def read_provenance(path: Path) -> dict[str, Any] | None:

@@ -257,7 +257,7 @@ def refuse_foreign(path: Path, *, older_too: bool = True) -> None:
         raise InputError("not a GeoPackage", where=path, expected="a register.gpkg written by urbanforest")
     with closing(sqlite3.connect(f"file:{_quoted(path)}?mode=ro", uri=True)) as register:
         try:
-            versions = [row[0] for row in register.execute("SELECT register_version FROM provenance")]
+            rows = register.execute("SELECT stage, register_version FROM provenance").fetchall()
         except sqlite3.Error as error:
             raise InputError(
                 "not a register of urbanforest",
@@ -266,6 +266,14 @@ def refuse_foreign(path: Path, *, older_too: bool = True) -> None:
                 expected="a table 'provenance'",
                 next_step="make a register with `urbanforest stencil CITY.gpkg -o REGISTER.gpkg`",
             ) from error
+    versions = [version for _, version in rows]
+    if "stencil" not in {stage for stage, _ in rows}:
+        raise InputError(
+            "a city, not a register",
+            where=path,
+            found=f"a file made by {', '.join(sorted({stage for stage, _ in rows})) or 'no stage'}",
+            next_step=f"plant it with `urbanforest populate {path.name}`",
+        )
     if any(version > REGISTER_VERSION or (older_too and version < REGISTER_VERSION) for version in versions):
         raise SchemaError(
             "the register was written by another version",

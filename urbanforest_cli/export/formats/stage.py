@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatch
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from urbanforest_cli.files.cityjson import write_cityjson
 from urbanforest_cli.files.geopackage import read_layer
 from urbanforest_cli.files.gltf import write_glb
 from urbanforest_cli.files.itree import write_itree
-from urbanforest_cli.files.manifest import Export, describe_files, record_exports
+from urbanforest_cli.files.manifest import Export, describe_files, read_manifest, record_exports
 from urbanforest_cli.files.obj import write_species_library
 from urbanforest_cli.files.plant_tables import write_plants_gpkg, write_plants_parquet
 from urbanforest_cli.files.provenance import require_record, stage_key
@@ -82,6 +83,8 @@ class Format:
         Of its file or folder.
     detail, prototypes_max
         How much of plants is drawn, and how many shapes are stored, where nothing else is asked for.
+    holds
+        Of a folder: what it always holds, then patterns of what else may be in it.
     companion
         What the name of a file that belongs to it ends in more.
     second
@@ -92,9 +95,14 @@ class Format:
     write: Callable[[Job, Path], None]
     detail: str = ""
     prototypes_max: int = 0
-    is_folder: bool = False
+    holds: tuple[str, ...] = ()
     companion: str = ""
     second: str = ""
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it is a folder of files."""
+        return bool(self.holds)
 
 
 @dataclass
@@ -206,6 +214,8 @@ def _cityjson(job: Job, path: Path) -> None:
 
 
 def _obj(job: Job, path: Path) -> None:
+    if job.detail == "point":
+        raise InputError("points have no shapes to write as OBJ", where="--detail", next_step="choose another detail")
     write_species_library(path, job.scenery(job.detail, bare=True), crs=job.city.register_crs)
 
 
@@ -240,9 +250,9 @@ def _canopy(job: Job, path: Path) -> None:
 
 FORMATS: dict[str, Format] = {
     "glb": Format("forest.glb", _glb, "medium", 300),
-    "3dtiles": Format("tiles", _tiles, "medium", 300, is_folder=True),
+    "3dtiles": Format("tiles", _tiles, "medium", 300, holds=("tileset.json", "subtrees", "content", "models")),
     "cityjson": Format("forest.city.json", _cityjson, "low", 200),
-    "obj": Format("species", _obj, "medium", 80, is_folder=True),
+    "obj": Format("species", _obj, "medium", 80, holds=("placements.csv", "*.obj", "*.mtl", "*.png", "*.json")),
     "geojson": Format("plants.geojson", _geojson),
     "gpkg": Format("plants.gpkg", _gpkg),
     "geoparquet": Format("plants.parquet", _geoparquet),
@@ -261,7 +271,7 @@ def export_formats(
     path: Path | None = None,
     workers: int = 1,
     progress: Progress = silent,
-) -> StageSummary:
+) -> list[StageSummary]:
     """Write a planted city in some formats beside its register, and name them in exports.json.
 
     Parameters
@@ -273,16 +283,21 @@ def export_formats(
     path
         File or folder to write a single format to; its own name beside the register if None.
 
+    Returns
+    -------
+    One summary a format, which is its stage.
+
     Raises
     ------
     SchemaError, StaleError
         The register has not grown its plants; the text names the command.
     InputError
         Nothing lies in the box.
+    OutputExistsError
+        Something else bears the output's name.
     OutputError
         A file could not be written whole.
     """
-    started = time.perf_counter()
     if path is not None and (two := [name for name in formats if FORMATS[name].second]):
         raise InputError(
             f"{two[0]} writes two files", where="-o", next_step="leave -o out: they go beside the register"
@@ -290,24 +305,38 @@ def export_formats(
     job = Job(register, config, seed, wanted or Wanted(), workers, progress)
     growth = require_record(register, "grow").stage_key
     folder = register.parent
-    progress(STAGE, 0, len(formats))
-    for number, name in enumerate(formats):
+    for name in formats:
+        _refuse_in_the_way(path or folder / FORMATS[name].name, FORMATS[name], register)
+    summaries = []
+    for name in formats:
+        started = time.perf_counter()
         form = FORMATS[name]
         key = format_key(name, growth, config=config, seed=seed, wanted=job.wanted)
         target = path or folder / form.name
-        _refuse_in_the_way(target, form, register)
+        job.notices, job.counts = Notices(), {}
+        progress(f"{STAGE} {name}", 0, 1)
+        _tell_of_parts(job, target)
         job.write(form, target, key)
+        files = describe_files(target, *([target.with_name(target.name + form.companion)] if form.companion else []))
+        found = {target.name: files}
+        if form.second:
+            found[form.second] = describe_files(folder / form.second)
         if target.parent.resolve() == folder.resolve():
-            beside = [target.with_name(target.name + form.companion)] if form.companion else []
-            found = {target.name: describe_files(target, *beside)}
-            if form.second:
-                found[form.second] = describe_files(folder / form.second)
-            record_exports(
-                folder, [Export(item, name, key, growth, job.options, files) for item, files in found.items()]
-            )
-        progress(STAGE, number + 1, len(formats))
-    counts: dict[str, int | float | str] = {"plants": len(job.city.plants), **job.counts}
-    return StageSummary(STAGE, path or folder, counts, job.notices, time.perf_counter() - started)
+            record_exports(folder, [Export(item, name, key, growth, job.options, its) for item, its in found.items()])
+        progress(f"{STAGE} {name}", 1, 1)
+        size = sum(state.bytes for its in found.values() for state in its.values())
+        counts: dict[str, int | float | str] = {"plants": len(job.city.plants), "bytes": size, **job.counts}
+        summaries.append(StageSummary(name, target, counts, job.notices, time.perf_counter() - started))
+    return summaries
+
+
+def _tell_of_parts(job: Job, target: Path) -> None:
+    """Count a warning where an output of the whole city gives way to one of a part."""
+    before = read_manifest(job.register.parent).get(target.name)
+    if job.wanted.bbox is not None and before is not None and "bbox" not in before.options:
+        job.notices.add(
+            "W_PART", "outputs of the whole city replaced by a part of it (-o names another)", 1, [target.name]
+        )
 
 
 def export_city(
@@ -389,13 +418,25 @@ def format_key(name: str, growth: str, *, config: Config, seed: int, wanted: Wan
 
 
 def _refuse_in_the_way(target: Path, form: Format, register: Path) -> None:
-    """Refuse to replace the register, or a folder by a file and the other way round."""
+    """Refuse to replace the register, a folder by a file or the other way round, and folders of other things."""
     if target.resolve() == register.resolve():
         raise OutputExistsError("the output is the register itself", where=target, next_step="name another with -o")
-    if target.is_dir() != form.is_folder and target.exists():
+    if not target.exists():
+        return
+    if target.is_dir() != form.is_folder:
         raise OutputExistsError(
             "the output is a folder" if target.is_dir() else "the output is a file",
             where=target,
             expected="a folder" if form.is_folder else "a file",
+            next_step="name another with -o",
+        )
+    held = sorted(item.name for item in target.iterdir()) if form.is_folder else []
+    strange = [name for name in held if not any(fnmatch(name, pattern) for pattern in form.holds)]
+    if held and (strange or form.holds[0] not in held):
+        raise OutputExistsError(
+            "the folder holds other things, which would be lost",
+            where=target,
+            found=", ".join((strange or held)[:5]),
+            expected=f"an empty folder, or an earlier output with {form.holds[0]}",
             next_step="name another with -o",
         )

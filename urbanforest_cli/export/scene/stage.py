@@ -78,8 +78,9 @@ def read_city(register: Path, *, config: Config, notices: Notices, bbox: Bounds 
             raise InputError(
                 "nothing of the city lies in the box",
                 where="--bbox",
-                found=" ".join(f"{value:g}" for value in bbox),
-                expected="west south east north within " + " ".join(f"{value:.7g}" for value in known),
+                found=" ".join(f"{value:.10g}" for value in bbox),
+                expected="west south east north within " + " ".join(f"{value:.10g}" for value in known),
+                next_step=f"give the box in the CRS of the register, {register_crs.name}",
             )
         trees, xy = gpd.GeoDataFrame(trees[inside].reset_index(drop=True)), xy[inside]
     heights = buildings["height_m"].to_numpy(dtype=np.float64, na_value=np.nan)
