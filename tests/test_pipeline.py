@@ -17,6 +17,7 @@ from tests.growth import fake
 from urbanforest_cli.core.errors import BusyError, InputError, OutputExistsError, PartlyDoneError
 from urbanforest_cli.core.publish import folder_lock, sha256_of
 from urbanforest_cli.files.configs import load_config
+from urbanforest_cli.files.describe import describe_output
 from urbanforest_cli.files.geopackage import read_layer, write_layers
 from urbanforest_cli.files.skeleton_parts import parts_are_there
 from urbanforest_cli.pipeline import WORK_FOLDER, Request, plan, populate
@@ -391,6 +392,34 @@ def test_the_report_vouches_for_every_output(sample_city, tmp_path):
         path = tmp_path / "out" / item["name"]
         assert sha256_of(path) == item["sha256"]
         assert path.stat().st_size == item["bytes"]
+
+
+def test_what_a_user_exported_under_the_same_name_stays_until_the_plants_change(sample_city, tmp_path, runner):
+    out = tmp_path / "out"
+    populate(request(sample_city, out))
+    assert runner("export", out, "--to", "glb", "--plain", "--detail", "low", "--prototypes", "5").exit_code == 0
+    plain = sha256_of(out / "forest.glb")
+    assert all(summary.up_to_date for summary in populate(request(sample_city, out)))
+    (out / "map.png").unlink()
+    assert not populate(request(sample_city, out))[-1].up_to_date
+    assert sha256_of(out / "forest.glb") == plain
+    assert all(summary.up_to_date for summary in populate(request(sample_city, out)))
+    populate(request(sample_city, out, year=-3))
+    assert sha256_of(out / "forest.glb") != plain
+
+
+def test_export_goes_on_with_the_config_that_populate_last_had(sample_city, tmp_path, runner):
+    out = tmp_path / "out"
+    populate(request(sample_city, out))
+    populate(request(sample_city, out, settings=["export.season=winter", "growth.building_height_m=21.0"]))
+    outcome = runner("export", out, "--to", "glb", "--debug")
+    assert outcome.exit_code == 0, outcome.stderr
+    assert describe_output(out / "forest.glb")["season"] == "winter"
+    from urbanforest_cli.commands import options
+
+    config, _ = options.load(None, (), None, out / "register.gpkg")
+    assert config.growth.building_height_m == 21.0
+    assert config.export.detail == "low"
 
 
 def test_a_city_without_lots_is_planted_with_nothing_and_said_so(tmp_path):

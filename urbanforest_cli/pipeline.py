@@ -263,6 +263,7 @@ def _run_stages(request: Request, keys: dict[str, str], register: Path, progress
             config=request.config,
             seed=request.seed,
             key=keys["export"],
+            published=request.out,
             summaries=[summary.as_record() for summary in summaries.values()],
             workers=request.workers,
             progress=progress,
@@ -328,8 +329,8 @@ def _publish_all(work: Path, out: Path, until: str) -> None:
         move_parts(work / REGISTER, parts_folder(out / REGISTER))
         for name in there:
             os.replace(work / name, out / name)
-        for name in set(names) - set(there):  # what this city has no more
-            (out / name).unlink(missing_ok=True)
+        for name in set(CITY_OUTPUTS) - set(read_manifest(out)) if until == "export" else ():
+            (out / name).unlink(missing_ok=True)  # what this city has no more
         sync_folder(out)
         remove_strays(out / REGISTER)
         shutil.rmtree(work)

@@ -138,6 +138,23 @@ def test_a_folder_of_other_things_is_never_replaced(out, runner, tmp_path, form)
     assert runner("export", out, "--to", form, "-o", tmp_path / "new").exit_code == 2
 
 
+def test_files_of_others_are_never_replaced(out, runner, tmp_path):
+    own = tmp_path / "city.gpkg"
+    shutil.copy("data_samples/sample_city.gpkg", own)
+    before = own.read_bytes()
+    assert runner("export", out, "--to", "gpkg", "-o", own).exit_code == 2
+    assert own.read_bytes() == before
+    for form, name in (("cityjson", "exports.json"), ("glb", "forest.gltf"), ("gpkg", "register.gpkg")):
+        outcome = runner("export", out, "--to", form, "-o", out / name)
+        assert outcome.exit_code == 2, name
+        assert "-o" in outcome.stderr
+    for _ in range(2):
+        assert runner("export", out, "--to", "gpkg", "-o", tmp_path / "again.gpkg").exit_code == 0
+    assert runner("export", out, "--to", "gpkg").exit_code == 0
+    (out / "plants.gpkg").write_bytes(b"cut")
+    assert runner("export", out, "--to", "gpkg").exit_code == 0
+
+
 def test_a_part_that_takes_the_place_of_the_whole_is_told(out, runner):
     box = read_layer(out / "register.gpkg", "trees").total_bounds
     assert "W_PART" not in runner("export", out, "--to", "gpkg", "--json").stdout

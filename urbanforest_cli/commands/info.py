@@ -17,11 +17,12 @@ from urbanforest_cli.commands import options
 @options.json_opt
 @options.talk_opts
 def command(path: Path | None, params: bool, strategies: bool, as_json: bool) -> None:
-    """Print the provenance of FILE, any output of this program.
+    """Print the provenance of FILE, any output of this program; of a folder of them, that of its register.
 
     \b
     Example:
-        urbanforest info rome-forest/register.gpkg
+        urbanforest info rome-forest
+        urbanforest info rome-forest/forest.glb
         urbanforest info --params
     """
     if params:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 LOG_EVERY_S = 30.0
+DECIDED_BY = (("diffuse", ("context",)), ("place", ("placement", "species")), ("grow", ("growth",)))
+"""Which stage's record tells which sections of the config a register was made with, beside those of `stencil`."""
 
 
 def cores() -> int:
@@ -127,12 +129,7 @@ def load(
     config_path: Path | None, settings: Iterable[str], seed: int | None, register: Path | None = None
 ) -> tuple[Config, int]:
     """Load the config in force and the seed; a stage that goes on with a register goes on with its config."""
-    base = None
-    if register is not None and config_path is None:
-        from urbanforest_cli.files.provenance import require_record
-
-        record = require_record(register, "stencil")
-        base = {**record.config, "seed": record.seed}
+    base = _in_force(register) if register is not None and config_path is None else None
     from urbanforest_cli.core.params import strategy_names
     from urbanforest_cli.files.configs import load_config
 
@@ -140,6 +137,23 @@ def load(
         config_path, settings=tuple(settings), seed=seed, known_strategies=strategy_names(), base=base
     ).config
     return config, config.seed
+
+
+def _in_force(register: Path) -> dict[str, Any]:
+    """Return the config that made a register as it is: of each section, that of the stage it decides."""
+    from urbanforest_cli.files.manifest import read_manifest
+    from urbanforest_cli.files.provenance import read_records, require_record
+
+    stencil = require_record(register, "stencil")
+    records = read_records(register)
+    base: dict[str, Any] = {**stencil.config, "seed": stencil.seed}
+    for stage, sections in DECIDED_BY:
+        made = records[stage].config if stage in records else {}
+        base |= {section: made[section] for section in sections if section in made}
+    for export in read_manifest(register.parent).values():
+        if isinstance(shown := export.options.get("export"), dict):  # what `populate` last showed
+            base["export"] = shown
+    return base
 
 
 @contextmanager

@@ -23,12 +23,16 @@ class PlacedPlants:
         What x and y are in.
     height_m
         (n,) as the output states it, NaN where it does not.
+    species
+        (n,) object array of identifiers as the register has them, None where the output states none of a plant; None
+        where it knows no such thing.
     """
 
     plant_id: NDArray[np.object_]
     xyz_m: NDArray[np.float64]
     crs: CRS
     height_m: NDArray[np.float64]
+    species: NDArray[np.object_] | None = None
 
     def __len__(self) -> int:
         return len(self.plant_id)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from urbanforest_cli import __version__
+from urbanforest_cli.core.boxes import in_box
 from urbanforest_cli.core.colours import species_colour, zone_colour
 from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.crs import reproject, reproject_xy
@@ -68,6 +69,7 @@ def export_outputs(
     config: Config,
     summaries: Sequence[Mapping[str, Any]] = (),
     beside: Sequence[str] = (),
+    kept: Sequence[str] = (),
     key: str = "",
     bbox: Bounds | None = None,
     progress: Progress = silent,
@@ -91,6 +93,8 @@ def export_outputs(
         What the stages before told; what the register remembers of them if empty.
     beside
         Names of files in `out` that the report tells of too; it shows view.png if that is among them.
+    kept
+        Names of outputs that are not to be written.
     key
         As `export_key` returns it, kept in the report.
     bbox
@@ -107,14 +111,21 @@ def export_outputs(
     progress("export", 0, STEPS)
     planted = _read(register, config)
     provenance = provenance_of(register, plants=len(planted.degrees), key=key)
-    _write_geojson(out / GEOJSON, planted.degrees, planted.tables.plants, planted.tables.trees, provenance)
+    if GEOJSON not in kept:
+        _write_geojson(
+            out / GEOJSON, planted.degrees, planted.tables.plants, planted.tables.trees,
+            {**provenance, "format": "geojson"},
+        )  # fmt: skip
     progress("export", 1, STEPS)
     map_png = png_of(_map(planted, provenance, config, bbox), provenance)
     _write_bytes(out / MAP, map_png)
     progress("export", 2, STEPS)
     report = _report(register, planted, provenance, config, summaries)
     report["export_key"] = key
-    report["outputs"] = [_output(register), *(_output(out / name) for name in (*beside, GEOJSON, MAP))]
+    report["outputs"] = [
+        _output(register),
+        *(_output(out / name) for name in (*beside, *(name for name in (GEOJSON, MAP) if name not in kept))),
+    ]
     images = {"map": for_page(map_png)}
     if VIEW in beside:
         images["view"] = for_page((out / VIEW).read_bytes())
@@ -293,15 +304,11 @@ def write_plants_geojson(register: Path, path: Path, *, key: str, bbox: Bounds |
         inside = in_box(xy, bbox)
         plants, xy = gpd.GeoDataFrame(plants[inside].reset_index(drop=True)), xy[inside]
         trees = trees[inside].reset_index(drop=True) if trees is not None else None
-    provenance = provenance_of(register, plants=len(plants), key=key)
+    provenance = {**provenance_of(register, plants=len(plants), key=key), "format": "geojson"}
+    if bbox is not None:
+        provenance["bbox"] = list(bbox)
     properties = pd.DataFrame(plants.drop(columns="geometry"))
     _write_geojson(path, reproject_xy(xy, crs, WGS84), properties, trees, provenance)
-
-
-def in_box(xy: NDArray[np.float64], bbox: Bounds) -> NDArray[np.bool_]:
-    """Tell of (n, 2) positions whether they lie in west, south, east, north, or on its edge."""
-    west, south, east, north = bbox
-    return np.asarray((xy[:, 0] >= west) & (xy[:, 0] <= east) & (xy[:, 1] >= south) & (xy[:, 1] <= north))
 
 
 def _write_geojson(

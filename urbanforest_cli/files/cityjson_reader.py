@@ -15,6 +15,7 @@ from pyproj.exceptions import CRSError
 from urbanforest_cli.core.errors import InputError
 from urbanforest_cli.core.placed import PlacedPlants
 from urbanforest_cli.files.cityjson import CRS_URL, OWN
+from urbanforest_cli.files.words import in_words
 
 FIRST_LINE = '{"type":"CityJSON",'
 TEMPLATES, CORNERS, OBJECTS = '"geometry-templates":{"templates":[\n', '],"vertices-templates":[\n', '"CityObjects":{\n'
@@ -28,12 +29,13 @@ _FAULTS = (ValueError, KeyError, IndexError, TypeError, AttributeError, Overflow
 
 @dataclass
 class _Found:
-    """Plants as they are met: ids, vertex of each, what a matrix adds, heights."""
+    """Plants as they are met: ids, vertex of each, what a matrix adds, heights, species."""
 
     ids: list[str] = field(default_factory=list)
     vertex: list[int] = field(default_factory=list)
     shift: list[tuple[float, float, float]] = field(default_factory=list)
     height: list[float] = field(default_factory=list)
+    species: list[str | None] = field(default_factory=list)
 
     def add(self, key: str, item: dict[str, Any], templates: int, offset: int = 0) -> None:
         """Take note of an object, if it is a plant."""
@@ -53,11 +55,13 @@ class _Found:
             shift = tuple(float(matrix[place]) for place in TRANSLATION)  # type: ignore[assignment]
         if type(vertex) is not int or vertex < 0:
             raise ValueError(f"{key!r} has no vertex")
-        height = item.get("attributes", {}).get("height_m")
+        attributes = item.get("attributes", {})
+        height, species = attributes.get("height_m"), attributes.get("species")
         self.ids.append(key)
         self.vertex.append(vertex + offset)
         self.shift.append(shift)
         self.height.append(float("nan") if height is None else float(height))
+        self.species.append(species if isinstance(species, str) else None)
 
 
 def read_plants(path: Path) -> PlacedPlants:
@@ -86,7 +90,7 @@ def read_plants(path: Path) -> PlacedPlants:
     except CRSError as error:
         raise _wrong(path, f"its CRS: {error}") from error
     except _FAULTS as error:
-        raise _wrong(path, f"{type(error).__name__}: {error}") from error
+        raise _wrong(path, in_words(error)) from error
 
 
 def read_provenance(path: Path) -> dict[str, Any] | None:
@@ -108,7 +112,7 @@ def read_provenance(path: Path) -> dict[str, Any] | None:
     except OSError as error:
         raise _wrong(path, error.strerror or str(error)) from error
     except _FAULTS as error:
-        raise _wrong(path, f"{type(error).__name__}: {error}") from error
+        raise _wrong(path, in_words(error)) from error
     return found if isinstance(found, dict) else None
 
 
@@ -201,7 +205,8 @@ def _placed(head: dict[str, Any], found: _Found, vertices: list[list[float]]) ->
     if not np.isfinite(xyz).all():
         raise ValueError("places that are no numbers")
     ids = np.array(found.ids, dtype=object)
-    return PlacedPlants(ids, xyz, _crs(head), np.array(found.height, dtype=np.float64))
+    height = np.array(found.height, dtype=np.float64)
+    return PlacedPlants(ids, xyz, _crs(head), height, np.array(found.species, dtype=object))
 
 
 def _crs(head: dict[str, Any]) -> CRS:

@@ -12,10 +12,11 @@ from urbanforest_cli.files.geopackage import layer_names, refuse_foreign
 from urbanforest_cli.files.manifest import MANIFEST, manifest_faults, read_manifest
 from urbanforest_cli.files.provenance import read_records
 from urbanforest_cli.files.skeleton_parts import named_parts, parts_folder
+from urbanforest_cli.files.words import in_words, kind_of
 
 
 def describe_output(path: Path) -> dict[str, object]:
-    """Return the provenance of a file or a folder this program wrote.
+    """Return the provenance of a file or a folder this program wrote; of a folder of outputs, that of its register.
 
     Raises
     ------
@@ -31,14 +32,19 @@ def describe_output(path: Path) -> dict[str, object]:
             "no provenance of urbanforest inside",
             where=path,
             expected="a register, exports.json, a report, a picture, skeletons, or what `urbanforest export` wrote",
+            next_step="name one of these, or the folder that `urbanforest populate` wrote them to",
         )
     return dict(record)
+
+
+REGISTER = "register.gpkg"
 
 
 def _reader_of(path: Path) -> Reader | None:
     """Return what reads an output, by its name; of a folder, by what is in it."""
     if path.is_dir():
-        return next((BY_NAME[name] for name in FOLDERS if (path / name).is_file()), None)
+        inside = next((name for name in FOLDERS if (path / name).is_file()), None)
+        return _of_folder if inside == REGISTER else BY_NAME[inside] if inside else None
     name = path.name.casefold()
     ends = (end for end in sorted(BY_NAME, key=len, reverse=True) if name.endswith(end))
     return next((BY_NAME[end] for end in ends), None)
@@ -108,6 +114,11 @@ def _of_parquet(path: Path) -> dict[str, object] | None:
     return _named(path, plant_tables.read_parquet_provenance(path)) if is_geographic else skeletons.describe(path)
 
 
+def _of_folder(path: Path) -> dict[str, object]:
+    """Tell of a folder of outputs by its register."""
+    return _register(path / REGISTER)
+
+
 def _of_manifest(path: Path) -> dict[str, object]:
     if faults := manifest_faults(path.parent):
         raise InputError("the list of outputs is torn", where=path, found="; ".join(faults))
@@ -159,8 +170,8 @@ def _register(path: Path) -> dict[str, object]:
 def _json(path: Path) -> dict[str, object] | None:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError("not readable as JSON", where=path, found=str(error)) from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError("not readable as JSON", where=path, found=in_words(error)) from error
     record = content.get("provenance") if isinstance(content, dict) else None
     return {"file": path.name, **record} if isinstance(record, dict) else None
 
@@ -173,16 +184,27 @@ def _picture(path: Path) -> dict[str, object] | None:
             text = image.info.get("urbanforest")
     except (UnidentifiedImageError, OSError) as error:
         raise InputError("not readable as a picture", where=path, found=str(error)) from error
-    return {"file": path.name, **json.loads(text)} if text else None
+    return _within(path, text) if text else None
 
 
 def _page(path: Path) -> dict[str, object] | None:
     marker = '<script type="application/json" id="urbanforest-provenance">'
-    text = path.read_text(encoding="utf-8", errors="replace")
-    start = text.find(marker)
-    if start < 0:
-        return None
-    record = json.loads(text[start + len(marker) : text.index("</script>", start)])
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InputError("the file cannot be read", where=path, found=in_words(error)) from error
+    _, is_there, rest = text.partition(marker)
+    return _within(path, rest.partition("</script>")[0]) if is_there else None
+
+
+def _within(path: Path, text: str) -> dict[str, object]:
+    """Return the provenance that a picture or a page carries as JSON."""
+    try:
+        record = json.loads(text)
+    except (ValueError, RecursionError, TypeError) as error:
+        raise InputError("its provenance is torn", where=path, found=in_words(error)) from error
+    if not isinstance(record, dict):
+        raise InputError("its provenance is torn", where=path, found=kind_of(record), expected=kind_of({}))
     return {"file": path.name, **record}
 
 
@@ -204,5 +226,5 @@ BY_NAME: dict[str, Reader] = {
     ".html": _page,
 }
 """How each kind of file tells of itself, by the end of its name, the longest first."""
-FOLDERS = ("tileset.json", "placements.csv")
-"""What tells of a folder that holds it."""
+FOLDERS = ("tileset.json", "placements.csv", REGISTER)
+"""What tells of a folder that holds it, the first that does."""

@@ -16,6 +16,7 @@ from pyproj import CRS
 from urbanforest_cli.core.errors import InputError, OutputError
 from urbanforest_cli.core.placed import PlacedPlants
 from urbanforest_cli.core.publish import publish
+from urbanforest_cli.files.words import in_words
 
 CHUNK_ROWS = 50_000
 FEATURE = '{"type":"Feature","geometry":{"type":"Point","coordinates":[%.7f,%.7f]},"properties":{'
@@ -129,13 +130,14 @@ def read_plants(path: Path) -> PlacedPlants:
         ids = [feature["properties"]["plant_id"] for feature in features]
         places = [feature["geometry"]["coordinates"][:2] for feature in features]
         heights = [feature["properties"].get("height_m") for feature in features]
+        species = [feature["properties"].get("species") for feature in features]
         degrees = np.array(places, dtype=np.float64).reshape(len(ids), 2)
         height_m = np.array(heights, dtype=np.float64)
     except OSError as error:
         raise InputError("the file cannot be read", where=path, found=error.strerror) from error
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise InputError(
-            "not a whole GeoJSON of plants", where=path, found=f"{type(error).__name__}: {error}",
+            "not a whole GeoJSON of plants", where=path, found=in_words(error),
             expected="a collection of points with plant_id", next_step="export it again",
         ) from error  # fmt: skip
     return PlacedPlants(
@@ -143,6 +145,7 @@ def read_plants(path: Path) -> PlacedPlants:
         xyz_m=np.column_stack([degrees, np.zeros(len(degrees))]),
         crs=CRS.from_epsg(4326),
         height_m=height_m,
+        species=np.array([name if isinstance(name, str) else None for name in species], dtype=object),
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from urbanforest_cli.core.errors import InputError
 from urbanforest_cli.files.gltf_document import BIN_CHUNK, GLB_VERSION, JSON_CHUNK, MAGIC
+from urbanforest_cli.files.words import kind_of
 
 HEADER, CHUNK_HEADER = struct.Struct("<4sII"), struct.Struct("<I4s")
 JSON_BYTES_MAX = 1 << 30
@@ -84,13 +85,13 @@ class GltfFile:
     def members(self, value: object, what: str) -> dict[str, Any]:
         """Return a value that must be an object."""
         if not isinstance(value, dict):
-            self.fault(f"{what} is not an object", type(value).__name__)
+            self.fault(f"{what} is not an object", kind_of(value))
         return value
 
     def items(self, value: object, what: str) -> list[Any]:
         """Return a value that must be a list."""
         if not isinstance(value, list):
-            self.fault(f"{what} is not a list", type(value).__name__)
+            self.fault(f"{what} is not a list", kind_of(value))
         return value
 
     def element(self, name: str, number: object) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from urbanforest_cli.core.placed import PlacedPlants
 from urbanforest_cli.files.gltf_file import GltfFile
 from urbanforest_cli.files.gltf_plain import PLANTS_MEMBER
 
-__all__ = ["FoundPlants", "GltfFile", "open_gltf", "plants_of", "read_plants", "read_provenance"]
+__all__ = ["FoundPlants", "GltfFile", "open_gltf", "plants_of", "read_plants", "read_provenance", "species_of"]
 
 OFFSETS = {"UINT8": "u1", "UINT16": "<u2", "UINT32": "<u4", "UINT64": "<u8"}
 NUMBERS = {"FLOAT32": "<f4", "UINT8": "u1", "UINT16": "<u2", "UINT32": "<u4"}
@@ -85,7 +85,7 @@ def read_plants(path: Path) -> PlacedPlants:
     heights = found.columns.get("height_m", np.full(count, np.nan))
     if heights.dtype.kind not in "fiu":
         file.fault("height_m is no number")
-    return PlacedPlants(ids, found.xyz_m + offset, crs, heights.astype(np.float64))
+    return PlacedPlants(ids, found.xyz_m + offset, crs, heights.astype(np.float64), species_of(found))
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
@@ -102,6 +102,12 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
 def _extras(file: GltfFile) -> dict[str, Any]:
     return file.members(file.json["asset"].get("extras"), "asset.extras")
+
+
+def species_of(found: FoundPlants) -> NDArray[np.object_] | None:
+    """Return the species of each plant, None where the file states none."""
+    species = found.columns.get("species")
+    return species if species is not None and species.dtype == np.object_ else None
 
 
 def plants_of(file: GltfFile) -> FoundPlants:

@@ -226,7 +226,7 @@ def read_plants(path: Path) -> PlacedPlants:
     """
     table = path / TABLE
     numbers = ("x", "y", "z", "height_m")
-    columns = read_table(table, {"plant_id": "text", "file": "text", **dict.fromkeys(numbers, "number")})
+    columns = read_table(table, {"plant_id": "text", "file": "text", "species": "text", **dict.fromkeys(numbers, "number")})
     about = read_description(table)
     if about is None:
         raise _wrong(table, "nothing beside it that names its CRS")
@@ -239,7 +239,7 @@ def read_plants(path: Path) -> PlacedPlants:
     except (KeyError, TypeError, CRSError) as error:
         raise _wrong(table, f"its CRS: {error}") from error
     x, y, z, height = (columns[name] for name in numbers)
-    return PlacedPlants(columns["plant_id"], np.column_stack([x, y, z]), crs, height)
+    return PlacedPlants(columns["plant_id"], np.column_stack([x, y, z]), crs, height, columns["species"])
 
 
 def read_provenance(path: Path) -> dict[str, Any] | None:

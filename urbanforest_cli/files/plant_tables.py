@@ -25,6 +25,7 @@ from urbanforest_cli.core.placed import PlacedPlants
 from urbanforest_cli.core.publish import publish
 from urbanforest_cli.files.geopackage import check_counts, refuse_sidecars, timestamp, write_layers
 from urbanforest_cli.files.styles import write_crowns_style
+from urbanforest_cli.files.words import in_words
 
 LAYER = "plants"
 PROVENANCE_URI = "https://www.iana.org/assignments/media-types/application/json"
@@ -113,7 +114,7 @@ def read_gpkg_plants(path: Path) -> PlacedPlants:
         It is not there, torn, or has no such layer.
     """
     try:
-        frame = pyogrio.read_dataframe(path, layer=LAYER, columns=["plant_id", "height_m"], use_arrow=True)
+        frame = pyogrio.read_dataframe(path, layer=LAYER, columns=["plant_id", "height_m", "species"], use_arrow=True)
     except (DataSourceError, DataLayerError, RuntimeError, OSError, ValueError) as error:
         raise _wrong(path, str(error)) from error
     if not isinstance(frame, gpd.GeoDataFrame) or frame.crs is None or not {"plant_id", "height_m"} <= set(frame):
@@ -203,18 +204,19 @@ def read_parquet_plants(path: Path) -> PlacedPlants:
     """
     try:
         with pq.ParquetFile(path) as file:
-            table = file.read(columns=["plant_id", "height_m", "geometry"])
+            table = file.read(columns=["plant_id", "height_m", "species", "geometry"])
             geo = json.loads((file.schema_arrow.metadata or {})[b"geo"])
         crs = CRS.from_json_dict(geo["columns"]["geometry"]["crs"])
         frame = gpd.GeoDataFrame(
-            {"plant_id": table["plant_id"].to_pylist(), "height_m": table["height_m"].to_numpy()},
+            {"plant_id": table["plant_id"].to_pylist(), "height_m": table["height_m"].to_numpy()}
+            | ({"species": table["species"].to_pylist()} if "species" in table.column_names else {}),
             geometry=shapely.from_wkb(table["geometry"].to_numpy()),
             crs=crs,
         )
     except (OSError, pa.ArrowException, CRSError, shapely.errors.ShapelyError) as error:
         raise _wrong(path, str(error)) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise _wrong(path, f"{type(error).__name__}: {error}") from error
+        raise _wrong(path, in_words(error)) from error
     return _placed(path, frame)
 
 
@@ -246,7 +248,8 @@ def _placed(path: Path, frame: gpd.GeoDataFrame) -> PlacedPlants:
     if not all(isinstance(item, str) for item in ids):
         raise _wrong(path, "plants without a plant_id")
     xyz = np.column_stack([shapely.get_coordinates(shapes).reshape(-1, 2), np.zeros(len(shapes))])
-    return PlacedPlants(ids, xyz, CRS.from_user_input(frame.crs), height)
+    species = frame["species"].astype(object).to_numpy() if "species" in frame else None
+    return PlacedPlants(ids, xyz, CRS.from_user_input(frame.crs), height, species)
 
 
 def _record(path: Path, text: str | bytes) -> dict[str, Any] | None:

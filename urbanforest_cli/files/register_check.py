@@ -31,7 +31,7 @@ def register_faults(register: Path) -> list[str]:
                 read_layer(register, name)
         except UrbanForestError as error:
             faults.append(f"layer {name!r}: {error.found}")
-    return faults + _skeleton_faults(register)
+    return faults + skeleton_faults(register)
 
 
 def geopackage_faults(path: Path) -> list[str]:
@@ -70,7 +70,8 @@ def _blank_count(database: sqlite3.Connection, layer: str) -> int:
     return sum(not flag or bool(flag[0] & EMPTY_FLAG) for (flag,) in flags)
 
 
-def _skeleton_faults(register: Path) -> list[str]:
+def skeleton_faults(register: Path) -> list[str]:
+    """Return in words which parts of a register's skeletons are missing or were changed, or are no parts at all."""
     parts, folder = named_parts(register), parts_folder(register)
     faults = [
         f"{folder.name}/{name} is missing or was changed" for name, part in parts.items() if not part.is_in(folder)
@@ -78,3 +79,11 @@ def _skeleton_faults(register: Path) -> list[str]:
     if len(parts) != row_count(register, LAYER):
         faults.append(f"layer {LAYER!r} names files that are no parts of skeletons")
     return faults
+
+
+def part_faults(register: Path, part: Path) -> list[str]:
+    """Return in words what is wrong with one part of a register's skeletons."""
+    known = named_parts(register).get(part.name)
+    if known is None:
+        return [f"{part.name} is no part that the register names"]
+    return [] if known.is_in(part.parent) else [f"{part.name} was changed"]

@@ -19,8 +19,9 @@ from urbanforest_cli.core.geodesy import from_earth_centred
 from urbanforest_cli.core.placed import PlacedPlants
 from urbanforest_cli.core.scenery import Origin
 from urbanforest_cli.core.tiles import CODE_LEVELS_MAX, from_z_order, z_order
-from urbanforest_cli.files.gltf_reader import open_gltf, plants_of
+from urbanforest_cli.files.gltf_reader import open_gltf, plants_of, species_of
 from urbanforest_cli.files.tiles3d_subtree import Subtree, read_subtree, tiles_in
+from urbanforest_cli.files.words import in_words, kind_of
 
 TILESET = "tileset.json"
 TILESET_LIMIT_BYTES = 1 << 28
@@ -100,7 +101,7 @@ def open_tileset(path: Path) -> Tileset:
         for uri in fixed:
             _inside(folder, uri)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise _broken(name, f"{type(error).__name__}: {error}") from error
+        raise _broken(name, in_words(error)) from error
     return Tileset(folder, text, quadtree, tuple(subtrees), tuple(fixed))
 
 
@@ -125,11 +126,12 @@ def read_plants(path: Path) -> PlacedPlants:
         if numbers.shape != (TRANSFORM_NUMBERS,) or not np.isfinite(numbers).all():
             raise ValueError("a transform that is not 16 numbers")
     except (KeyError, TypeError, ValueError, CRSError) as error:
-        raise _broken(tileset.folder / TILESET, f"{type(error).__name__}: {error}") from error
-    ids, places, heights = _plants_of_leaves(tileset)
+        raise _broken(tileset.folder / TILESET, in_words(error)) from error
+    ids, places, heights, species = _plants_of_leaves(tileset)
     matrix = numbers.reshape(4, 4).T
     on_earth = places @ matrix[:3, :3].T + matrix[:3, 3]
-    return PlacedPlants(ids, from_earth_centred(origin, on_earth, ground_height_m=ground_height_m), origin.crs, heights)
+    xyz_m = from_earth_centred(origin, on_earth, ground_height_m=ground_height_m)
+    return PlacedPlants(ids, xyz_m, origin.crs, heights, species)
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
@@ -163,15 +165,17 @@ def check_tiles(folder: Path, *, plants: int) -> None:
         raise _broken(folder, f"a file that no tile names: {foreign[0]}")
 
 
-def _plants_of_leaves(tileset: Tileset) -> tuple[NDArray[np.object_], NDArray[np.float64], NDArray[np.float64]]:
-    """Return ids, (n, 3) places in the tiles' frame and heights of what the leaves hold, in the order of their ids."""
+def _plants_of_leaves(
+    tileset: Tileset,
+) -> tuple[NDArray[np.object_], NDArray[np.float64], NDArray[np.float64], NDArray[np.object_]]:
+    """Return ids, (n, 3) places in the tiles' frame, heights and species of what leaves hold, in the order of ids."""
     quadtree = tileset.quadtree
     if quadtree is None:
-        return np.zeros(0, dtype=object), np.zeros((0, 3)), np.zeros(0)
+        return np.zeros(0, dtype=object), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=object)
     deepest = int(quadtree.level.max())
     shift = 2 * (deepest - quadtree.level)
     code = z_order(quadtree.x, quadtree.y) << shift
-    leaf_ids, leaf_code, places, heights = [], [], [], []
+    leaf_ids, leaf_code, places, heights, kinds = [], [], [], [], []
     above: list[tuple[int, NDArray[np.object_]]] = []
     for tile in range(len(quadtree)):
         path = _inside(tileset.folder, quadtree.uri(tile))
@@ -186,6 +190,8 @@ def _plants_of_leaves(tileset: Tileset) -> tuple[NDArray[np.object_], NDArray[np
             leaf_code.append(np.full(len(ids), code[tile]))
             places.append(found.xyz_m)
             heights.append(height)
+            stated = species_of(found)
+            kinds.append(np.full(len(ids), None, dtype=object) if stated is None else stated)
         else:
             above.append((tile, ids))
     ids, codes = np.concatenate(leaf_ids), np.concatenate(leaf_code)
@@ -202,7 +208,7 @@ def _plants_of_leaves(tileset: Tileset) -> tuple[NDArray[np.object_], NDArray[np
         if astray.any():
             path = tileset.folder / quadtree.uri(tile)
             raise _broken(path, f"plant {names[np.argmax(astray)]} once more, or in none of the leaves below")
-    return ids[order], np.concatenate(places)[order], np.concatenate(heights)[order]
+    return ids[order], np.concatenate(places)[order], np.concatenate(heights)[order], np.concatenate(kinds)[order]
 
 
 def _quadtree(folder: Path, node: dict[str, Any]) -> tuple[Quadtree, tuple[str, ...]]:
@@ -270,7 +276,7 @@ def _json(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise _broken(path, str(error)) from error
     if not isinstance(text, dict):
-        raise _broken(path, type(text).__name__)
+        raise _broken(path, kind_of(text))
     return text
 
 

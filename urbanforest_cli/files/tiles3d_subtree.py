@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from urbanforest_cli.core.errors import InputError
+from urbanforest_cli.files.words import in_words
 
 MAGIC, VERSION, HEADER = b"subt", 1, struct.Struct("<4sIQQ")
 ALIGNMENT = 8
@@ -106,7 +107,7 @@ def read_subtree(path: Path, levels: int) -> Subtree:
         table = text["propertyTables"][text["tileMetadata"]]
         boxes = np.frombuffer(_view(text, binary, table["properties"][BOX_PROPERTY]["values"]), dtype="<f8")
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise _broken(path, f"{type(error).__name__}: {error}", "availability of tiles and a box for each") from error
+        raise _broken(path, in_words(error), "availability of tiles and a box for each") from error
     count = int(np.count_nonzero(tiles))
     if boxes.size != count * BOX_NUMBERS or table.get("count") != count or not np.isfinite(boxes).all():
         raise _broken(path, f"{boxes.size} numbers of boxes", f"{BOX_NUMBERS} for each of {count} tiles")

@@ -36,19 +36,23 @@ class Expected:
         (n,), NaN where nothing stands.
     crs
         The working CRS, projected, in metres.
+    species
+        (n,) object array of identifiers; None where it is no matter.
     """
 
     plant_id: NDArray[np.object_]
     xy_m: FloatArray
     height_m: FloatArray
     crs: CRS
+    species: NDArray[np.object_] | None = None
 
     def __len__(self) -> int:
         return len(self.plant_id)
 
     def take(self, rows: NDArray[Any]) -> Expected:
         """Return some of them."""
-        return Expected(self.plant_id[rows], self.xy_m[rows], self.height_m[rows], self.crs)
+        species = self.species[rows] if self.species is not None else None
+        return Expected(self.plant_id[rows], self.xy_m[rows], self.height_m[rows], self.crs, species)
 
 
 @dataclass(frozen=True)
@@ -71,11 +75,18 @@ class Comparison:
 
 
 def compare(
-    stated: PlacedPlants, expected: Expected, *, tolerance_m: float = TOLERANCE_M, on_ground: bool = False
+    stated: PlacedPlants,
+    expected: Expected,
+    *,
+    tolerance_m: float = TOLERANCE_M,
+    on_ground: bool = False,
+    in_crown: bool = False,
+    left_out: NDArray[np.object_] | None = None,
 ) -> Comparison:
-    """Compare by plant id: which are missing, too many, doubled, elsewhere, or of another height.
+    """Compare by plant id: which are missing, too many, doubled, elsewhere, of another height or of another species.
 
-    Heights are compared where both state one.
+    Places are compared on the map. An output that states heights must do so for all that stand, and for no other;
+    species are compared where both sides know any.
 
     Parameters
     ----------
@@ -83,7 +94,13 @@ def compare(
         Largest distance, and difference of heights, that is no fault.
     on_ground
         Whether feet stand at height 0, and one that does not is a fault.
+    in_crown
+        Whether places are anywhere between a plant's foot and its top.
+    left_out
+        Ids of plants that the register holds beside those expected.
     """
+    too_many = pd.Index(stated.plant_id, dtype=object).difference(pd.Index(expected.plant_id, dtype=object), sort=False)
+    beside = too_many.isin(left_out) if left_out is not None else np.zeros(len(too_many), dtype=bool)
     row = pd.Index(expected.plant_id, dtype=object).get_indexer(pd.Index(stated.plant_id, dtype=object))
     times = np.bincount(row[row >= 0], minlength=len(expected))
     doubles = pd.Index(stated.plant_id[pd.Index(stated.plant_id, dtype=object).duplicated()]).unique()
@@ -94,13 +111,18 @@ def compare(
     distance = np.hypot(*(xyz[:, :2] - expected.xy_m[place]).T)
     faults = [
         *named("missing", expected.plant_id[times == 0]),
-        *named("not in the register", stated.plant_id[row < 0]),
+        *named("not in the register", too_many[~beside]),
+        *named("that do not stand, or lie outside its box", too_many[beside]),
         *named("there more than once", doubles),
         *_apart("elsewhere", names, distance, tolerance_m),
         *_apart("of another height", names, _difference(stated.height_m[both], expected.height_m[place]), tolerance_m),
+        *_height_faults(names, stated.height_m[both], expected.height_m[place]),
     ]
-    if on_ground:
-        faults += _apart("off the ground", names, np.abs(xyz[:, 2]), tolerance_m)
+    if stated.species is not None and expected.species is not None:
+        faults += _species_faults(names, stated.species[both], expected.species[place])
+    if on_ground or in_crown:
+        top = expected.height_m[place] if in_crown else 0.0
+        faults += _apart("off the ground", names, np.maximum(-xyz[:, 2], xyz[:, 2] - top), tolerance_m)
     finite = distance[np.isfinite(distance)]
     return Comparison(len(stated), float(finite.max()) if len(finite) else 0.0, tuple(faults))
 
@@ -119,6 +141,25 @@ def _difference(stated: FloatArray, expected: FloatArray) -> FloatArray:
     """Return how far heights are apart, 0 where one of the two is not stated."""
     apart = np.abs(stated - expected)
     return np.where(np.isnan(stated) | np.isnan(expected), 0.0, apart)
+
+
+def _height_faults(names: NDArray[np.object_], stated: FloatArray, expected: FloatArray) -> list[str]:
+    """Tell of plants whose height one side alone knows, of an output that states heights; 0 is no height."""
+    has, should = stated > 0, expected > 0
+    if not has.any():
+        return []
+    return [
+        *named("without a height", names[should & ~has]),
+        *named("with a height though nothing stands there", names[has & ~should]),
+    ]
+
+
+def _species_faults(
+    names: NDArray[np.object_], stated: NDArray[np.object_], expected: NDArray[np.object_]
+) -> list[str]:  # fmt: skip
+    other = np.flatnonzero(stated != expected)
+    shown = [f"{names[row]} is {stated[row] or 'none'}, not {expected[row]}" for row in other]
+    return named("of another species", shown)
 
 
 def named(what: str, ids: Sequence[Any] | NDArray[np.object_] | pd.Index[Any]) -> list[str]:

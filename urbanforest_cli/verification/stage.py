@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import math
+import os
 import sqlite3
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,92 +20,33 @@ from numpy.typing import NDArray
 from pyproj import CRS
 from rasterio.errors import RasterioError
 
-from urbanforest_cli.core.crs import reproject, reproject_xy
-from urbanforest_cli.core.errors import InputError, UrbanForestError
+from urbanforest_cli.core.boxes import Bounds, in_box
+from urbanforest_cli.core.crs import reproject_xy
+from urbanforest_cli.core.errors import BusyError, InputError, UrbanForestError
 from urbanforest_cli.core.placed import PlacedPlants
 from urbanforest_cli.files import cityjson_reader, geojson, gltf_reader, itree, obj, plant_tables, tiles3d_reader
+from urbanforest_cli.files.describe import describe_output
 from urbanforest_cli.files.geopackage import layer_names, read_layer, refuse_foreign
-from urbanforest_cli.files.manifest import Export, faults_of, manifest_faults, read_manifest
+from urbanforest_cli.files.manifest import MANIFEST, Export, faults_of, manifest_faults, read_manifest
 from urbanforest_cli.files.provenance import read_records
-from urbanforest_cli.files.register_check import geopackage_faults, register_faults
-from urbanforest_cli.verification.compare import MM, Expected, compare, counted, named
+from urbanforest_cli.files.register_check import geopackage_faults, part_faults, register_faults, skeleton_faults
+from urbanforest_cli.files.skeleton_parts import parts_folder
+from urbanforest_cli.files.words import in_words
+from urbanforest_cli.verification import verdicts as found
+from urbanforest_cli.verification.compare import Comparison, Expected, compare, named
+from urbanforest_cli.verification.verdicts import Verdict
 
 REGISTER = "register.gpkg"
 STANDING = ("unique", "library")
-FAULTS_SHOWN = 20
 CELLS_PER_CROWN = 2.0
 AROUND = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)], dtype=np.float64)
 READ_ERRORS = (UrbanForestError, OSError, ValueError, sqlite3.Error, RasterioError)
 
-SAME, STALE, CHANGED, DIFFERS, UNREADABLE = "same", "stale", "changed", "differs", "unreadable"
-INTACT = "intact"
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What was found of one output.
-
-    Parameters
-    ----------
-    name
-        In the folder of outputs; as given, for a file elsewhere.
-    format
-        As ``urbanforest export --to`` calls it, or what the file is.
-    state
-        same: says what the register says, and is as it was written. intact: holds no plants to compare, is as it was
-        written. stale: shows an earlier growth. changed: not as it was written. differs: says other things than the
-        register. unreadable.
-    plants, largest_distance_m
-        None where there are none to count.
-    faults
-        In words.
-    recorded
-        Whether the manifest names it, so that a change would have been seen.
-    """
-
-    name: str
-    format: str
-    state: str
-    plants: int | None = None
-    largest_distance_m: float | None = None
-    faults: tuple[str, ...] = ()
-    recorded: bool = True
-
-    def as_record(self) -> dict[str, object]:
-        """Return it for ``--json``."""
-        distance = self.largest_distance_m
-        return {
-            "name": self.name,
-            "format": self.format,
-            "state": self.state,
-            "plants": self.plants,
-            "largest_distance_mm": None if distance is None else round(distance * MM, 3),
-            "recorded": self.recorded,
-            "faults": list(self.faults),
-        }
-
-
-class DiffersError(UrbanForestError):
-    """Outputs are not what the register says, or not as they were written; the text lists all faults."""
-
-    def __init__(self, out: Path, verdicts: Sequence[Verdict]) -> None:
-        self.verdicts = tuple(verdicts)
-        faults = [f"{verdict.name}: {fault}" for verdict in verdicts for fault in verdict.faults]
-        more = [f"and {len(faults) - FAULTS_SHOWN} more"] if len(faults) > FAULTS_SHOWN else []
-        super().__init__(
-            f"{counted(len(faults), 'fault')} in {counted(sum(bool(v.faults) for v in verdicts), 'output')}",
-            where=out,
-            found="\n            ".join([*faults[:FAULTS_SHOWN], *more]),
-            next_step="write them again with `urbanforest export`, the register with `urbanforest populate`",
-        )
-
-    def as_record(self) -> dict[str, object]:
-        """Return the verdicts with the error."""
-        return super().as_record() | {"outputs": [verdict.as_record() for verdict in self.verdicts]}
-
 
 def verify_outputs(out: Path, files: Iterable[Path] = ()) -> list[Verdict]:
     """Hold outputs against the register: those of the manifest, and those found under the names they usually have.
+
+    No run writes to the folder meanwhile; others may verify it.
 
     Parameters
     ----------
@@ -118,42 +63,48 @@ def verify_outputs(out: Path, files: Iterable[Path] = ()) -> list[Verdict]:
     ------
     InputError
         There is no register, or no such file.
+    BusyError
+        A run is writing to the folder.
     """
     register = out / REGISTER if out.is_dir() else out
     refuse_foreign(register)
-    folder = register.parent
-    asked = [_asked(folder, path) for path in files]
-    recorded = read_manifest(folder)
-    verdict, truth = _judge_register(register, recorded.get(register.name))
-    if asked:
-        return [_judge(path, recorded, folder, truth) for path in asked]
-    found = {name for name in _usual_names(folder) if (folder / name).exists()}
-    names = sorted((found | set(recorded)) - {register.name})
-    torn = [Verdict("exports.json", "manifest", CHANGED, faults=tuple(manifest_faults(folder)))]
-    return [verdict, *(_judge(folder / name, recorded, folder, truth) for name in names), *filter(_is_faulty, torn)]
+    with _undisturbed(register.parent):
+        held = _Held(register, read_manifest(register.parent))
+        asked = [held.find(path) for path in files]
+        verdict, truth = _judge_register(register, held.recorded.get(register.name))
+        held.truth = truth
+        if asked:
+            return [verdict if path.samefile(register) else _judge_asked(path, held) for path in asked]
+        there = _names_in(held.folder)
+        names = sorted((there | set(held.recorded)) - {register.name})
+        others = [_judge(held.folder / name, held) for name in names]
+        manifest = _judge_manifest(held.folder, is_wanted=bool(there))
+        return [verdict, *others, *([manifest] if manifest.faults else [])]
 
 
-def refuse_faults(out: Path, verdicts: Sequence[Verdict]) -> None:
-    """Raise where any output has a fault.
+@contextlib.contextmanager
+def _undisturbed(folder: Path) -> Iterator[None]:
+    """Hold a folder so that no run writes to it, by the lock that those take; others may read it at the same time.
 
     Raises
     ------
-    DiffersError
-        With all faults.
+    BusyError
+        A run is writing to it.
     """
-    if any(map(_is_faulty, verdicts)):
-        raise DiffersError(out, verdicts)
-
-
-def _is_faulty(verdict: Verdict) -> bool:
-    return bool(verdict.faults)
-
-
-def _asked(folder: Path, path: Path) -> Path:
-    for place in (path, folder / path):
-        if place.exists():
-            return place
-    raise InputError("no such output", where=path, found=f"neither there nor in {folder}")
+    with contextlib.ExitStack() as held:
+        try:
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            held.callback(os.close, descriptor)
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BusyError(
+                "a run is writing here, so outputs are not all of one kind yet",
+                where=folder,
+                next_step="wait for it to end, then verify again",
+            ) from error
+        except OSError:  # a folder or a file system that knows no locks; nothing of it is to be written anyway
+            pass
+        yield
 
 
 @dataclass(frozen=True)
@@ -168,52 +119,90 @@ class Truth:
         (n,) which of them stand.
     crown_radius_m
         (n,), 0 where nothing stands.
-    register_crs
-        For boxes that exports were cut to.
+    register_xy
+        (n, 2) as the register has them, for boxes that exports were cut to.
     growth
-        Stage key of what is shown.
+        Stage key of what is shown; empty where nothing has grown.
+    is_planted
+        Whether plants were placed, be it none.
     """
 
     placed: Expected
     stands: NDArray[np.bool_]
     crown_radius_m: NDArray[np.float64]
-    register_crs: CRS
+    register_xy: NDArray[np.float64]
     growth: str
+    is_planted: bool = True
 
-    def rows(self, *, dead_too: bool, bbox: Any) -> NDArray[np.int64]:
+    def rows(self, *, dead_too: bool, bbox: Bounds | None) -> NDArray[np.int64]:
         """Return the rows that an output should hold."""
         wanted = np.ones(len(self.placed), dtype=bool) if dead_too else self.stands.copy()
         if bbox is not None:
-            west, south, east, north = map(float, bbox)
-            box: NDArray[Any] = np.array([shapely.box(west, south, east, north)], dtype=np.object_)
-            wanted &= shapely.contains_xy(reproject(box, self.register_crs, self.placed.crs)[0], self.placed.xy_m)
+            wanted &= in_box(self.register_xy, bbox)
         return np.flatnonzero(wanted)
+
+
+@dataclass
+class _Held:
+    """A folder of outputs while it is looked at: what its manifest and its register say.
+
+    `truth` is None where the register cannot be read.
+    """
+
+    register: Path
+    recorded: Mapping[str, Export]
+    truth: Truth | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Where the outputs lie."""
+        return self.register.parent
+
+    def find(self, path: Path) -> Path:
+        """Return where a file that was asked for lies, or should."""
+        for place in (path, self.folder / path):
+            if place.exists():
+                return place
+        if str(path) in self.recorded:
+            return self.folder / path
+        raise InputError("no such output", where=path, found=f"neither there nor in {self.folder}")
+
+    def within(self, path: Path) -> Path | None:
+        """Return a file's path from the folder; None for one that lies elsewhere."""
+        place = path.parent.resolve() / path.name
+        return place.relative_to(self.folder.resolve()) if place.is_relative_to(self.folder.resolve()) else None
 
 
 def _judge_register(register: Path, export: Export | None) -> tuple[Verdict, Truth | None]:
     """Check the register in itself and return what it says; None where it cannot be read."""
-    verdict = Verdict(register.name, "register", SAME, recorded=export is not None)
+    verdict = Verdict(register.name, found.REGISTER, found.SAME, recorded=export is not None)
     faults: list[str] = []
     try:
-        faults += _integrity(register.parent, export)
+        faults += faults_of(register.parent, export) if export is not None else []
         faults += register_faults(register)
         truth = read_truth(register)
     except READ_ERRORS as error:
-        return replace(verdict, state=UNREADABLE, faults=tuple(faults or [_told(error)])), None
-    return replace(verdict, state=DIFFERS if faults else SAME, plants=len(truth.placed), faults=tuple(faults)), truth
+        return replace(verdict, state=found.UNREADABLE, faults=tuple(faults or [_told(error)])), None
+    sound = found.SAME if truth.growth else found.NOT_GROWN if truth.is_planted else found.NOT_PLANTED
+    return (
+        replace(
+            verdict, state=found.DIFFERS if faults else sound, plants=len(truth.placed), faults=tuple(faults)
+        ),
+        truth,
+    )  # fmt: skip
 
 
 def read_truth(register: Path) -> Truth:
-    """Read what a register says of its plants.
+    """Read what a register says of its plants; none where none were placed yet.
 
     Raises
     ------
     InputError, SchemaError
-        Nothing was planted, or layers are missing or at odds.
+        Layers are missing or at odds.
     """
     records = read_records(register)
     if "place" not in records:
-        raise InputError("nothing was planted", where=register, next_step="run `urbanforest populate`")
+        return _nothing(next(record.working_crs for record in records.values()))
     working = records["place"].working_crs
     plants = read_layer(register, "plants")
     grown = records.get("grow")
@@ -223,22 +212,34 @@ def read_truth(register: Path) -> Truth:
             raise InputError("layers 'plants' and 'trees' hold other plants", where=register)
         if not np.array_equal(_xy(trees), _xy(plants)):
             raise InputError("layers 'plants' and 'trees' hold plants in other places", where=register)
+        if trees["species"].tolist() != plants["species"].tolist():
+            raise InputError("layers 'plants' and 'trees' hold plants of other species", where=register)
+        assert grown is not None, "trees are read where they have grown"
+        if {"name": "place", "sha256": records["place"].stage_key} not in grown.inputs:
+            raise InputError("layer 'trees' grew from other plants than those placed last", where=register)
         born = (trees["reason"] != "unborn").to_numpy()
         plants, trees = plants[born], trees[born]
     stands = np.zeros(len(plants), dtype=bool) if trees is None else _stands(trees)
-    register_crs = CRS.from_user_input(plants.crs)
     return Truth(
         placed=Expected(
             plant_id=plants["plant_id"].to_numpy(dtype=object),
-            xy_m=reproject_xy(_xy(plants), register_crs, working),
+            xy_m=reproject_xy(_xy(plants), CRS.from_user_input(plants.crs), working),
             height_m=np.where(stands, _numbers(trees, "height_m", len(plants)), np.nan),
             crs=working,
+            species=plants["species"].to_numpy(dtype=object),
         ),
         stands=stands,
         crown_radius_m=np.where(stands, _numbers(trees, "crown_radius_m", len(plants)), 0.0),
-        register_crs=register_crs,
+        register_xy=_xy(plants),
         growth=grown.stage_key if grown is not None else "",
     )
+
+
+def _nothing(working: CRS) -> Truth:
+    """Return what a register without plants says."""
+    none, nowhere = np.zeros(0), np.zeros((0, 2))
+    placed = Expected(np.zeros(0, dtype=object), nowhere, none, working, np.zeros(0, dtype=object))
+    return Truth(placed, none.astype(bool), none, nowhere, growth="", is_planted=False)
 
 
 def _stands(trees: pd.DataFrame) -> NDArray[np.bool_]:
@@ -294,11 +295,22 @@ USUAL = (
     "forest.glb", "tiles", "forest.city.json", "plants.geojson", "plants.gpkg", "plants.parquet", "itree.csv",
     "species", "canopy_height.tif", "canopy_cover.tif",
 )  # fmt: skip
+WITHOUT_PLANTS = {
+    "view.png": found.OF_POPULATE, "map.png": found.OF_POPULATE, "report.html": found.OF_POPULATE,
+    "report.json": found.OF_POPULATE, "street.png": found.OF_RENDER, "top.png": found.OF_RENDER,
+}  # fmt: skip
+"""Names of pictures and pages, and what writes them."""
+PATTERNS = ("*.glb", "*.city.json", "*.city.jsonl")
+INSIDE = {"tiles": ("tileset.json", "content", "subtrees"), "species": ("placements.csv", "species.mtl")}
+"""What a folder must hold, and what tells that it held that."""
 
 
-def _usual_names(folder: Path) -> list[str]:
-    others = (path.name for pattern in ("*.glb", "*.city.json", "*.city.jsonl") for path in folder.glob(pattern))
-    return [*USUAL, *others]
+def _names_in(folder: Path) -> set[str]:
+    """Return the names of all that looks like an output of this program."""
+    there = {name for name in (*USUAL, *WITHOUT_PLANTS) if (folder / name).exists()}
+    there -= {name for name in INSIDE if not any((folder / name / item).exists() for item in INSIDE[name])}
+    others = {path.name for pattern in PATTERNS for path in folder.glob(pattern)}
+    return there | others | {path.name for path in folder.glob("*.png") if _provenance(path)}
 
 
 def _kind_of(path: Path) -> tuple[_Kind, Path] | None:
@@ -310,55 +322,200 @@ def _kind_of(path: Path) -> tuple[_Kind, Path] | None:
     return (KINDS[ends[-1]], path) if ends else None
 
 
-def _judge(path: Path, recorded: Mapping[str, Export], folder: Path, truth: Truth | None) -> Verdict:
-    inside = path.absolute().parent == folder.absolute()
-    export = recorded.get(path.name) if inside else None
-    name = path.name if inside else str(path)
+def _format_of(path: Path, kind: tuple[_Kind, Path] | None) -> str:
+    """Return the format of an output that the manifest does not name."""
+    if kind is not None:
+        return kind[0].format
+    if path.suffix.casefold() in CANOPY:
+        return "canopy"
+    unnamed = found.OF_RENDER if path.suffix.casefold() == ".png" and _provenance(path) else ""
+    return WITHOUT_PLANTS.get(path.name, unnamed) or path.suffix.removeprefix(".")
+
+
+def _provenance(path: Path) -> dict[str, Any]:
+    """Return what an output says of how it was made; empty where it says nothing that can be read."""
+    try:
+        return describe_output(path)
+    except READ_ERRORS:
+        return {}
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """How an output was asked for: as the manifest says, or the output itself where that does not name it.
+
+    Parameters
+    ----------
+    growth
+        Stage key of the growth shown, empty for plants that had not grown; None where nothing tells.
+    bbox
+        What it was cut to, as it is stated.
+    as_points
+        Whether each plant is a point in its crown.
+    """
+
+    growth: str | None
+    bbox: object
+    as_points: bool
+
+    @classmethod
+    def of(cls, path: Path, export: Export | None) -> _Asked:
+        """Read it."""
+        if export is not None:
+            return cls(export.growth or None, export.options.get("bbox"), export.options.get("detail") == "point")
+        record = _provenance(path)
+        stages = record.get("stage_keys")
+        growth = str(stages.get("grow", "")) if isinstance(stages, dict) else None
+        return cls(growth, record.get("bbox"), record.get("detail") == "point")
+
+    def box(self) -> Bounds | None:
+        """Return the box; raise ValueError where it is none."""
+        if self.bbox is None:
+            return None
+        sides = self.bbox if isinstance(self.bbox, list) else []
+        if len(sides) != 4 or not all(type(side) in (int, float) and math.isfinite(side) for side in sides):
+            raise ValueError("the box that it says it was cut to is not four numbers")
+        west, south, east, north = map(float, sides)
+        return west, south, east, north
+
+
+def _judge_manifest(folder: Path, *, is_wanted: bool) -> Verdict:
+    """Check the list of outputs; that there is none is a fault where there are outputs."""
+    verdict = Verdict(MANIFEST, found.MANIFEST, found.INTACT)
+    if (folder / MANIFEST).exists():
+        faults = tuple(manifest_faults(folder))
+        return replace(verdict, state=found.CHANGED, faults=faults) if faults else verdict
+    if not is_wanted:
+        return verdict
+    fault = f"{MANIFEST} is missing: nothing tells how the files here were written, so a change of them is not seen"
+    return replace(verdict, state=found.MISSING, faults=(fault,))
+
+
+def _judge_asked(path: Path, held: _Held) -> Verdict:
+    """Judge what was asked for by name: what cannot be checked is a fault."""
+    within = held.within(path)
+    parts = parts_folder(held.register).name
+    if within is not None:
+        name = within.as_posix()
+        if name == MANIFEST:
+            return _judge_manifest(held.folder, is_wanted=True)
+        if within.parts[0] == parts and len(within.parts) <= 2:
+            return _judge_skeletons(path, name, held)
+        owner = next(
+            (export for export in held.recorded.values() if name in export.files and name != export.name), None
+        )
+        if owner is not None and within.name in FOLDERS:
+            path = held.folder / owner.name
+        elif owner is not None:
+            return _judge_one_of(owner, name, held)
+    verdict = _judge(path, held)
+    if verdict.faults or verdict.state != found.UNCHECKED:
+        return verdict
+    is_known = path.name in WITHOUT_PLANTS or _provenance(path)
+    why = f"{MANIFEST} does not name it, and it holds no plants to compare" if is_known else "no output of urbanforest"
+    return replace(verdict, faults=(f"cannot be checked: {why}",))
+
+
+def _judge_skeletons(path: Path, name: str, held: _Held) -> Verdict:
+    """Judge the folder of skeletons, or one part in it, by the hashes in the register."""
+    verdict = Verdict(name, found.SKELETONS, found.INTACT)
+    try:
+        faults = skeleton_faults(held.register) if path.is_dir() else part_faults(held.register, path)
+    except READ_ERRORS as error:
+        return replace(verdict, state=found.UNREADABLE, faults=(_told(error),))
+    return replace(verdict, state=found.CHANGED if faults else found.INTACT, faults=tuple(faults))
+
+
+def _judge_one_of(owner: Export, name: str, held: _Held) -> Verdict:
+    """Judge one file of an output that has several, by its hash."""
+    faults = tuple(faults_of(held.folder, replace(owner, name=name, files={name: owner.files[name]})))
+    return Verdict(name, owner.format, found.CHANGED if faults else found.INTACT, faults=faults)
+
+
+def _judge(path: Path, held: _Held) -> Verdict:
+    """Judge an output: whether it is as it was written, shows this growth, and says what the register says."""
+    within = held.within(path)
+    is_inside = within is not None and len(within.parts) == 1
+    export = held.recorded.get(path.name) if is_inside else None
     kind = _kind_of(path)
-    format_ = export.format if export else kind[0].format if kind else path.suffix.removeprefix(".")
-    verdict = Verdict(name, format_, INTACT, recorded=export is not None)
-    changes = _integrity(folder, export)
-    stale = export is not None and truth is not None and export.growth not in ("", truth.growth)
-    if stale:
-        changes.append("shows an earlier growth than the register")
-    if truth is not None and not stale and path.exists():
-        options = export.options if export else {}
-        verdict = _compare(verdict, path, kind, truth, options)
-    worst = CHANGED if changes and not stale else STALE if stale else verdict.state
-    return replace(verdict, state=worst, faults=(*changes, *verdict.faults))
+    asked = _Asked.of(path, export)
+    verdict = Verdict(
+        name=path.name if is_inside else str(path),
+        format=export.format if export else _format_of(path, kind),
+        state=found.INTACT if export else found.UNCHECKED,
+        recorded=export is not None,
+        is_part=asked.bbox is not None,
+    )
+    changes = faults_of(held.folder, export) if export is not None else []
+    if stale := _stale_faults(asked, kind, path, held.truth):
+        return replace(verdict, state=found.STALE, faults=(*changes, *stale))
+    if kind is None and path.name in INSIDE and path.is_dir() and not changes:
+        changes.append(f"{path.name}/{INSIDE[path.name][0]} is missing")
+    if held.truth is not None and path.exists():
+        verdict = _compare(verdict, path, kind, held.truth, asked)
+    return replace(verdict, state=found.CHANGED if changes else verdict.state, faults=(*changes, *verdict.faults))
 
 
-def _integrity(folder: Path, export: Export | None) -> list[str]:
-    return faults_of(folder, export) if export is not None else []
+def _stale_faults(asked: _Asked, kind: tuple[_Kind, Path] | None, path: Path, truth: Truth | None) -> list[str]:
+    """Tell that an output shows another growth than the register; then there is nothing to compare."""
+    if truth is None or not path.exists() and asked.growth is None:
+        return []
+    grew = asked.growth or (asked.growth is None and _needs_growth(kind, path))
+    if not truth.growth and grew:
+        state = "its plants have not grown" if truth.is_planted else "no plants were placed"
+        return [f"shows plants that grew, and the register says that {state}"]
+    if asked.growth is not None and asked.growth != truth.growth:
+        return ["shows another growth than the register" if asked.growth else "shows the plants before they grew"]
+    return []
+
+
+def _needs_growth(kind: tuple[_Kind, Path] | None, path: Path) -> bool:
+    return path.suffix.casefold() in CANOPY if kind is None else not kind[0].dead_too
 
 
 def _compare(
-    verdict: Verdict, path: Path, kind: tuple[_Kind, Path] | None, truth: Truth, options: Mapping[str, Any]
-) -> Verdict:
+    verdict: Verdict, path: Path, kind: tuple[_Kind, Path] | None, truth: Truth, asked: _Asked
+) -> Verdict:  # fmt: skip
     """Compare what an output says with the register."""
     try:
+        box = asked.box()
         if path.suffix.casefold() in CANOPY:
-            faults = _canopy_faults(path, truth, options.get("bbox"))
-            return replace(verdict, state=DIFFERS if faults else SAME, faults=tuple(faults))
+            faults = _canopy_faults(path, truth, box)
+            return replace(verdict, state=found.DIFFERS if faults else found.SAME, faults=tuple(faults))
         if kind is None:
             return verdict
         reader, file = kind
-        rows = truth.rows(dead_too=reader.dead_too, bbox=options.get("bbox"))
-        as_points = options.get("detail") == "point"
         faults = geopackage_faults(file) if file.suffix == ".gpkg" else []
-        found = compare(reader.read(file), truth.placed.take(rows), on_ground=reader.on_ground and not as_points)
+        compared = _compare_plants(reader, reader.read(file), truth, box, as_points=asked.as_points)
     except READ_ERRORS as error:
-        return replace(verdict, state=UNREADABLE, faults=(_told(error),))
+        return replace(verdict, state=found.UNREADABLE, faults=(_told(error),))
     return replace(
         verdict,
-        state=DIFFERS if faults or found.faults else SAME,
-        plants=found.plants,
-        largest_distance_m=found.largest_distance_m,
-        faults=(*faults, *found.faults),
+        state=found.DIFFERS if faults or compared.faults else found.SAME,
+        plants=compared.plants,
+        largest_distance_m=compared.largest_distance_m,
+        faults=(*faults, *compared.faults),
     )
 
 
-def _canopy_faults(path: Path, truth: Truth, bbox: Any) -> list[str]:
+def _compare_plants(
+    reader: _Kind, stated: PlacedPlants, truth: Truth, box: Bounds | None, *, as_points: bool
+) -> Comparison:
+    """Compare plants with those that an output of this kind, cut to this box, should hold."""
+    rows = truth.rows(dead_too=reader.dead_too, bbox=box)
+    compared = compare(
+        stated,
+        truth.placed.take(rows),
+        on_ground=reader.on_ground and not as_points,
+        in_crown=reader.on_ground and as_points,
+        left_out=np.delete(truth.placed.plant_id, rows),
+    )
+    if truth.stands[rows].any() and len(stated) and not (stated.height_m > 0).any():
+        return replace(compared, faults=(*compared.faults, "states no heights"))
+    return compared
+
+
+def _canopy_faults(path: Path, truth: Truth, bbox: Bounds | None) -> list[str]:
     """Return where a raster has no crown though a plant with a crown of several cells stands there."""
     rows = truth.rows(dead_too=False, bbox=bbox)
     with rasterio.open(path, driver="GTiff") as raster:
@@ -380,4 +537,4 @@ def _canopy_faults(path: Path, truth: Truth, bbox: Any) -> list[str]:
 def _told(error: Exception) -> str:
     if isinstance(error, UrbanForestError):
         return error.what + (f": {error.found}" if error.found is not None else "")
-    return f"cannot be read: {error}"
+    return f"cannot be read: {in_words(error)}"

@@ -10,8 +10,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from urbanforest_cli.core.boxes import Bounds
 from urbanforest_cli.core.config import Config
-from urbanforest_cli.core.errors import InputError, OutputExistsError
+from urbanforest_cli.core.errors import InputError, OutputExistsError, UrbanForestError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.scenery import Scenery
@@ -23,17 +24,28 @@ from urbanforest_cli.export.scene.ground import build_ground
 from urbanforest_cli.export.scene.models import build_scenery
 from urbanforest_cli.export.scene.pieces import Piece
 from urbanforest_cli.export.scene.prototypes import Prototypes, choose_prototypes
-from urbanforest_cli.export.scene.stage import Bounds, read_city
+from urbanforest_cli.export.scene.stage import read_city
 from urbanforest_cli.export.scene.tables import inventory_table, plant_table, species_categories
 from urbanforest_cli.export.scene.tiling import tile_scene
-from urbanforest_cli.export.stage import OUTPUTS, REPORT, VIEW, export_outputs, provenance_of, write_plants_geojson
+from urbanforest_cli.export.stage import (
+    GEOJSON,
+    MAP,
+    OUTPUTS,
+    PAGE,
+    REPORT,
+    VIEW,
+    export_outputs,
+    provenance_of,
+    write_plants_geojson,
+)
 from urbanforest_cli.export.view.stage import view_city
 from urbanforest_cli.files.canopy import write_canopy
 from urbanforest_cli.files.cityjson import write_cityjson
+from urbanforest_cli.files.describe import describe_output
 from urbanforest_cli.files.geopackage import read_layer
 from urbanforest_cli.files.gltf import write_glb
 from urbanforest_cli.files.itree import write_itree
-from urbanforest_cli.files.manifest import Export, describe_files, read_manifest, record_exports
+from urbanforest_cli.files.manifest import Export, describe_files, is_intact, read_manifest, record_exports
 from urbanforest_cli.files.obj import write_species_library
 from urbanforest_cli.files.plant_tables import write_plants_gpkg, write_plants_parquet
 from urbanforest_cli.files.provenance import require_record, stage_key
@@ -45,7 +57,11 @@ TOLD = ("shapes", "outline_error_median", "outline_error_worst_tenth")
 TILE_DETAILS = {"point": 1, "billboard": 60, "low": 120}
 """Details of far tiles from coarse to fine, and the most shapes of each."""
 CANOPY_COVER = "canopy_cover.tif"
-CITY_OUTPUTS = ("forest.glb", VIEW, *OUTPUTS)
+FOREST = "forest.glb"
+CITY_OUTPUTS = {
+    FOREST: "glb", VIEW: "render", GEOJSON: "geojson", MAP: "map", PAGE: "report", REPORT: "report",
+}  # fmt: skip
+"""What `populate` writes beside the register, and the format of each."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +99,8 @@ class Format:
         Of its file or folder.
     detail, prototypes_max
         How much of plants is drawn, and how many shapes are stored, where nothing else is asked for.
+    suffixes
+        That a file of another name may have.
     holds
         Of a folder: what it always holds, then patterns of what else may be in it.
     companion
@@ -95,6 +113,7 @@ class Format:
     write: Callable[[Job, Path], None]
     detail: str = ""
     prototypes_max: int = 0
+    suffixes: tuple[str, ...] = ()
     holds: tuple[str, ...] = ()
     companion: str = ""
     second: str = ""
@@ -117,6 +136,7 @@ class Job:
     progress: Progress
     notices: Notices = field(default_factory=Notices)
     counts: dict[str, int | float | str] = field(default_factory=dict)
+    name: str = ""
     detail: str = ""
     prototypes_max: int = 0
     key: str = ""
@@ -126,21 +146,32 @@ class Job:
     @cached_property
     def city(self) -> City:
         """The plants and what stands around them."""
-        return read_city(self.register, config=self.config, notices=self.notices, bbox=self.wanted.bbox)
+        return read_city(self.register, config=self.config, bbox=self.wanted.bbox)
 
     @cached_property
     def pieces(self) -> list[Piece]:
         """Buildings and ground, none where they are not wanted."""
         if not self.wanted.with_surroundings:
             return []
+        self.tell_of_heights()
         built = build_buildings(self.city)
         self.notices.add("W_BUILDING_SHAPE", "buildings without an area, left out", built.left_out)
         return [*build_ground(self.city), *built.pieces]
 
+    def tell_of_heights(self) -> None:
+        """Count the buildings that are drawn as high as the config says."""
+        height = self.config.growth.building_height_m
+        self.notices.add(
+            "W_BUILDING_HEIGHT",
+            f"buildings without a height, drawn {height:g} m high",
+            self.city.unknown_height_count,
+        )
+
     @property
     def provenance(self) -> dict[str, Any]:
         """What goes into each file."""
-        return provenance_of(self.register, plants=len(self.city.plants), key=self.key) | self.options
+        made = provenance_of(self.register, plants=len(self.city.plants), key=self.key)
+        return {**made, "format": self.name, **self.options}
 
     @property
     def options(self) -> dict[str, Any]:
@@ -174,9 +205,10 @@ class Job:
             provenance=self.provenance | {"prototypes": self.shown},
         )
 
-    def write(self, form: Format, target: Path, key: str) -> None:
+    def write(self, name: str, target: Path, key: str) -> None:
         """Write one format, at its own detail where the config names none."""
-        asked = self.config.export
+        form, asked = FORMATS[name], self.config.export
+        self.name = name
         self.detail = (asked.detail or form.detail) if form.detail else ""
         self.prototypes_max = (asked.prototypes_max or form.prototypes_max) if form.detail else 0
         self.key = key
@@ -205,6 +237,8 @@ def _tiles(job: Job, path: Path) -> None:
 
 def _cityjson(job: Job, path: Path) -> None:
     city = job.city
+    if job.wanted.with_surroundings:
+        job.tell_of_heights()
     buildings = (city.local_shapes(city.buildings), city.building_height_m, city.building_id)
     footprints, heights, ids = buildings if job.wanted.with_surroundings else (None, None, None)
     scenery = job.scenery(job.detail, bare=True)
@@ -249,15 +283,15 @@ def _canopy(job: Job, path: Path) -> None:
 
 
 FORMATS: dict[str, Format] = {
-    "glb": Format("forest.glb", _glb, "medium", 300),
+    "glb": Format("forest.glb", _glb, "medium", 300, suffixes=(".glb",)),
     "3dtiles": Format("tiles", _tiles, "medium", 300, holds=("tileset.json", "subtrees", "content", "models")),
-    "cityjson": Format("forest.city.json", _cityjson, "low", 200),
+    "cityjson": Format("forest.city.json", _cityjson, "low", 200, suffixes=(".city.json", ".city.jsonl")),
     "obj": Format("species", _obj, "medium", 80, holds=("placements.csv", "*.obj", "*.mtl", "*.png", "*.json")),
-    "geojson": Format("plants.geojson", _geojson),
-    "gpkg": Format("plants.gpkg", _gpkg),
-    "geoparquet": Format("plants.parquet", _geoparquet),
-    "itree": Format("itree.csv", _itree, companion="-metadata.json"),
-    "canopy": Format("canopy_height.tif", _canopy, second=CANOPY_COVER),
+    "geojson": Format("plants.geojson", _geojson, suffixes=(".geojson",)),
+    "gpkg": Format("plants.gpkg", _gpkg, suffixes=(".gpkg",)),
+    "geoparquet": Format("plants.parquet", _geoparquet, suffixes=(".parquet",)),
+    "itree": Format("itree.csv", _itree, suffixes=(".csv",), companion="-metadata.json"),
+    "canopy": Format("canopy_height.tif", _canopy, suffixes=(".tif",), second=CANOPY_COVER),
 }
 
 
@@ -306,7 +340,7 @@ def export_formats(
     growth = require_record(register, "grow").stage_key
     folder = register.parent
     for name in formats:
-        _refuse_in_the_way(path or folder / FORMATS[name].name, FORMATS[name], register)
+        _refuse_in_the_way(path or folder / FORMATS[name].name, name, register)
     summaries = []
     for name in formats:
         started = time.perf_counter()
@@ -316,7 +350,7 @@ def export_formats(
         job.notices, job.counts = Notices(), {}
         progress(f"{STAGE} {name}", 0, 1)
         _tell_of_parts(job, target)
-        job.write(form, target, key)
+        job.write(name, target, key)
         files = describe_files(target, *([target.with_name(target.name + form.companion)] if form.companion else []))
         found = {target.name: files}
         if form.second:
@@ -346,18 +380,24 @@ def export_city(
     config: Config,
     seed: int,
     key: str,
+    published: Path | None = None,
     summaries: Sequence[Mapping[str, Any]] = (),
     workers: int = 1,
     progress: Progress = silent,
 ) -> StageSummary:
     """Write what `populate` writes of a planted city: forest.glb, view.png, the plants, the map and the report.
 
+    What a user had written otherwise under one of these names, by `export` or `render`, stays as long as it shows the
+    growth in force and is as it was written.
+
     Parameters
     ----------
     out
-        Folder to write to.
+        Folder to write to, with the manifest of what is published.
     key, summaries
         As `export_outputs` takes them.
+    published
+        Folder where earlier outputs lie; `out` if None.
 
     Raises
     ------
@@ -369,45 +409,59 @@ def export_city(
     started = time.perf_counter()
     growth = require_record(register, "grow").stage_key
     job = Job(register, config, seed, Wanted(), workers, progress)
+    kept = _kept_by_user(published or out, growth)
     progress(STAGE, 0, CITY_STEPS)
-    form = FORMATS["glb"]
-    job.write(form, out / form.name, key)
+    if FOREST not in kept:
+        job.write("glb", out / FOREST, key)
+    options = {FOREST: job.options}
     progress(STAGE, 1, CITY_STEPS)
-    beside = [form.name]
-    if len(job.city.plants):
+    if not len(job.city.plants):
+        job.notices.add("W_NO_VIEW", f"{VIEW} not drawn, since no plant stands", 1)
+    elif VIEW not in kept:
         size = (config.export.view_width_px, config.export.view_height_px)
+        job.name = "render"
         view_city(
             job.city, out / VIEW, size_px=size, season=config.export.season, provenance=job.provenance,
             workers=workers, progress=progress,
         )  # fmt: skip
-        beside.append(VIEW)
-    else:
-        job.notices.add("W_NO_VIEW", f"{VIEW} not drawn, since no plant stands", 1)
     progress(STAGE, 2, CITY_STEPS)
-    flat = export_outputs(register, out, config=config, summaries=summaries, beside=beside, key=key)
+    beside = [name for name in (FOREST, VIEW) if (out / name).is_file()]
+    flat = export_outputs(register, out, config=config, summaries=summaries, beside=beside, kept=kept, key=key)
     progress(STAGE, CITY_STEPS, CITY_STEPS)
     job.notices.merge(flat.notices)
-    written = [*beside, *OUTPUTS]
-    formats = {form.name: "glb", "plants.geojson": "geojson"}
+    written = [*beside, *(name for name in OUTPUTS if name not in kept)]
+    told = {"of": sorted({*written, *kept}), "export": config.export.model_dump(mode="json", exclude_none=True)}
     record_exports(
         out,
         [
-            Export(name, formats.get(name, STAGE), key, growth, {"of": written}, describe_files(out / name))
+            Export(name, CITY_OUTPUTS[name], key, growth, options.get(name, {}) | told, describe_files(out / name))
             for name in written
         ],
-        remove=set(CITY_OUTPUTS) - set(written),
+        remove=set(CITY_OUTPUTS) - set(told["of"]),
     )
     counts: dict[str, int | float | str] = {**flat.counts, **job.counts, "files": len(written)}
     return StageSummary(STAGE, out, counts, job.notices, time.perf_counter() - started)
 
 
+def _kept_by_user(published: Path, growth: str) -> list[str]:
+    """Return which of the city's outputs `export` or `render` wrote last, of this growth, and nothing changed since."""
+    exports = read_manifest(published)
+    own = [exports[name] for name in CITY_OUTPUTS if name in exports and "of" not in exports[name].options]
+    return [export.name for export in own if export.growth == growth and is_intact(published, export)]
+
+
 def city_outputs(exports: Mapping[str, Export], key: str) -> list[Export]:
-    """Return what one run of `export_city` wrote; nothing where some of it is named no longer, or has another key."""
+    """Return what one run of `export_city` wrote and kept; nothing where some of it is gone, or has another key."""
     report = exports.get(REPORT)
     names = report.options.get("of") if report is not None else None
-    found = [exports[name] for name in names if name in exports] if isinstance(names, list) else []
-    whole = bool(found) and len(found) == len(names or ()) and all(item.key == key for item in found)
-    return found if whole else []
+    if report is None or report.key != key or not isinstance(names, list):
+        return []
+    found = [exports[name] for name in names if name in exports]
+    fresh = [
+        item for item in found
+        if item.key == key or ("of" not in item.options and item.growth == report.growth)
+    ]  # fmt: skip
+    return fresh if len(fresh) == len(names) else []
 
 
 def format_key(name: str, growth: str, *, config: Config, seed: int, wanted: Wanted) -> str:
@@ -417,12 +471,23 @@ def format_key(name: str, growth: str, *, config: Config, seed: int, wanted: Wan
     )
 
 
-def _refuse_in_the_way(target: Path, form: Format, register: Path) -> None:
-    """Refuse to replace the register, a folder by a file or the other way round, and folders of other things."""
-    if target.resolve() == register.resolve():
-        raise OutputExistsError("the output is the register itself", where=target, next_step="name another with -o")
-    if not target.exists():
-        return
+def _refuse_in_the_way(target: Path, name: str, register: Path) -> None:
+    """Refuse to replace anything but an earlier output of the same format, and names that say another format."""
+    form = FORMATS[name]
+    if form.suffixes and not target.name.casefold().endswith(form.suffixes):
+        raise InputError(
+            "the output's name says another format",
+            where=target,
+            expected=f"a name that ends in {' or '.join(form.suffixes)}",
+            next_step="name another with -o",
+        )
+    for path in (target, *([target.with_name(form.second)] if form.second else [])):
+        if path.exists():
+            _refuse_foreign_output(path, name, register)
+
+
+def _refuse_foreign_output(target: Path, name: str, register: Path) -> None:
+    form = FORMATS[name]
     if target.is_dir() != form.is_folder:
         raise OutputExistsError(
             "the output is a folder" if target.is_dir() else "the output is a file",
@@ -430,13 +495,32 @@ def _refuse_in_the_way(target: Path, form: Format, register: Path) -> None:
             expected="a folder" if form.is_folder else "a file",
             next_step="name another with -o",
         )
-    held = sorted(item.name for item in target.iterdir()) if form.is_folder else []
-    strange = [name for name in held if not any(fnmatch(name, pattern) for pattern in form.holds)]
-    if held and (strange or form.holds[0] not in held):
+    if form.is_folder:
+        held = sorted(item.name for item in target.iterdir())
+        strange = [item for item in held if not any(fnmatch(item, pattern) for pattern in form.holds)]
+        if held and (strange or form.holds[0] not in held):
+            raise OutputExistsError(
+                "the folder holds other things, which would be lost",
+                where=target,
+                found=", ".join((strange or held)[:5]),
+                expected=f"an empty folder, or an earlier output with {form.holds[0]}",
+                next_step="name another with -o",
+            )
+    elif not _is_output(target, name, register):
         raise OutputExistsError(
-            "the folder holds other things, which would be lost",
+            "the file is no earlier output of this format, and would be lost",
             where=target,
-            found=", ".join((strange or held)[:5]),
-            expected=f"an empty folder, or an earlier output with {form.holds[0]}",
-            next_step="name another with -o",
+            next_step="name another with -o, or remove it first",
         )
+
+
+def _is_output(target: Path, name: str, register: Path) -> bool:
+    """Tell whether a file is what an earlier run wrote in a format, by the manifest or by its own word."""
+    if target.parent.resolve() == register.parent.resolve() and target.name in (
+        known := read_manifest(register.parent)
+    ):
+        return known[target.name].format == name
+    try:
+        return describe_output(target).get("format") == name
+    except UrbanForestError:
+        return False

@@ -91,6 +91,8 @@ class City:
         (l,) polygons and fills as the map has them ("#rrggbb").
     roads
         (r,) polygons in the working CRS, lines widened to their width.
+    unknown_height_count
+        Of buildings, whose height is the config's.
     """
 
     name: str
@@ -106,6 +108,7 @@ class City:
     lots: ShapeArray
     lot_colour: NDArray[np.object_]
     roads: ShapeArray
+    unknown_height_count: int = 0
 
     @property
     def crs(self) -> CRS:

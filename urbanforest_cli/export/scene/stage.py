@@ -12,26 +12,26 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from urbanforest_cli.core.boxes import Bounds, in_box
 from urbanforest_cli.core.colours import zone_colour
 from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.crs import reproject, reproject_xy
 from urbanforest_cli.core.errors import InputError, StaleError
-from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.scenery import Origin
 from urbanforest_cli.core.skeleton import Skeletons
 from urbanforest_cli.export.scene.city import City, Plants
-from urbanforest_cli.export.stage import city_name, in_box
+from urbanforest_cli.export.stage import city_name
 from urbanforest_cli.files.geopackage import read_layer
 from urbanforest_cli.files.provenance import Record, read_records, require_record
 from urbanforest_cli.files.skeleton_parts import named_parts, parts_are_there, parts_folder
 from urbanforest_cli.files.skeletons import read_parts
 from urbanforest_cli.files.species import load_catalogue
 
-Bounds = tuple[float, float, float, float]
+ORDERED_BY = {"lots": "lot_id", "buildings": "building_id", "roads": "road_id"}
 STANDING = ("unique", "library")
 
 
-def read_city(register: Path, *, config: Config, notices: Notices, bbox: Bounds | None = None) -> City:
+def read_city(register: Path, *, config: Config, bbox: Bounds | None = None) -> City:
     """Read the plants that stand, what shapes they have, and what stands around them.
 
     Parameters
@@ -40,8 +40,6 @@ def read_city(register: Path, *, config: Config, notices: Notices, bbox: Bounds 
         Where `grow` has run.
     config
         Species of the city, height of buildings that state none, colours of zones.
-    notices
-        Counts the buildings whose height is taken from the config.
     bbox
         West, south, east, north in the register's CRS: only plants, buildings and ground that lie in it, or reach in.
 
@@ -85,11 +83,6 @@ def read_city(register: Path, *, config: Config, notices: Notices, bbox: Bounds 
         trees, xy = gpd.GeoDataFrame(trees[inside].reset_index(drop=True)), xy[inside]
     heights = buildings["height_m"].to_numpy(dtype=np.float64, na_value=np.nan)
     unknown = ~(heights > 0)
-    notices.add(
-        "W_BUILDING_HEIGHT",
-        f"buildings without a height, drawn {config.growth.building_height_m:g} m high",
-        int(unknown.sum()),
-    )
     colours = {name: zone.colour for name, zone in config.zones.items() if zone.colour is not None}
     parts = parts_folder(register)
     names = sorted(named_parts(register))
@@ -106,6 +99,7 @@ def read_city(register: Path, *, config: Config, notices: Notices, bbox: Bounds 
         skeletons_of=skeletons_of,
         years_ago=int(str(grown.config.get("years_ago", 0))),
         buildings=buildings.geometry.to_numpy(),
+        unknown_height_count=int(unknown.sum()),
         building_height_m=np.where(unknown, config.growth.building_height_m, heights),
         building_id=buildings["building_id"].to_numpy(dtype=object),
         lots=lots.geometry.to_numpy(),
@@ -130,6 +124,8 @@ def _stale(register: Path) -> StaleError:
 
 def _shapes(register: Path, layer: str, working: CRS) -> gpd.GeoDataFrame:
     frame = read_layer(register, layer)
+    if ORDERED_BY[layer] in frame:  # files are then the same for any order of the city's rows
+        frame = frame.sort_values(ORDERED_BY[layer], kind="stable")
     moved = reproject(frame.geometry.to_numpy(), CRS.from_user_input(frame.crs), working)
     sound = np.isfinite(shapely.bounds(moved)).all(axis=1)
     return gpd.GeoDataFrame(frame.drop(columns=frame.geometry.name)[sound], geometry=moved[sound], crs=working)

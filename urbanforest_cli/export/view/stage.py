@@ -16,6 +16,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from urbanforest_cli import __version__
+from urbanforest_cli.core.boxes import Bounds
 from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.crs import reproject
 from urbanforest_cli.core.errors import InputError, OutputExistsError
@@ -25,7 +26,7 @@ from urbanforest_cli.core.publish import publish
 from urbanforest_cli.core.summary import StageSummary
 from urbanforest_cli.export.plant_looks import Season, look_of
 from urbanforest_cli.export.scene.city import City
-from urbanforest_cli.export.scene.stage import Bounds, read_city
+from urbanforest_cli.export.scene.stage import read_city
 from urbanforest_cli.export.stage import provenance_of
 from urbanforest_cli.export.view.choose import Sun
 from urbanforest_cli.export.view.picture import Kind, draw_view
@@ -119,7 +120,7 @@ def render_view(
     if path.resolve() == register.resolve() or path.is_dir():
         raise OutputExistsError("the output is the register, or a folder", where=path, next_step="name a PNG with -o")
     notices = Notices()
-    city = read_city(register, config=config, notices=notices)
+    city = read_city(register, config=config)
     growth = require_record(register, "grow").stage_key
     options = {"kind": kind, "size_px": list(size_px), "season": season,
                "sun_deg": list(sun) if sun is not None else None,
