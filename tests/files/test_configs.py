@@ -21,7 +21,7 @@ def test_every_zone_has_good_values_out_of_the_box():
     for zone in ZONES:
         assert config.zone_value(zone, "strategy")
         for name, parameter in PARAMETERS.items():
-            assert not parameter.outside_range(config.zone_value(zone, name)), (zone, name)
+            assert parameter.low <= config.zone_value(zone, name) <= parameter.high, (zone, name)
 
 
 def test_option_beats_environment_beats_file_beats_default(tmp_path):

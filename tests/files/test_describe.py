@@ -1,6 +1,8 @@
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from pyproj import CRS
 
 from urbanforest_cli.core.errors import InputError
@@ -27,9 +29,12 @@ def register(tmp_path):
     write_part(part, [pole], {"stage": "grow", "seed": 3, "plants": {"skeleton_id": [5]}})
     files = pd.DataFrame({"part": [PART], "sha256": [hash_of(part)], "bytes": [part.stat().st_size],
                           "skeleton_count": [1], "internode_count": [2]})  # fmt: skip
-    record = Record("grow", 3, "k", CRS.from_epsg(32633), {}, [], counts={"plants": 1, "unique": 1})
+    records = [
+        Record("stencil", 3, "s", CRS.from_epsg(32633), {}, []),
+        Record("grow", 3, "k", CRS.from_epsg(32633), {}, [], counts={"plants": 1, "unique": 1}),
+    ]
     path = tmp_path / "register.gpkg"
-    write_layers(path, {"skeleton_parts": files, "provenance": pd.DataFrame([record.as_row()])}, fresh=True)
+    write_layers(path, {"skeleton_parts": files, "provenance": pd.DataFrame([r.as_row() for r in records])}, fresh=True)
     return path
 
 
@@ -56,3 +61,27 @@ def test_a_file_of_another_kind_is_told_what_is_expected(tmp_path):
     path.write_text("mine")
     with pytest.raises(InputError, match="skeletons"):
         describe_output(path)
+
+
+def test_a_folder_of_outputs_is_told_by_its_register(register, runner):
+    assert describe_output(register.parent) == describe_output(register)
+    assert "stage_key: k" in runner("info", register.parent).stdout
+
+
+def test_a_folder_without_a_register_is_told_what_to_name(tmp_path):
+    with pytest.raises(InputError) as caught:
+        describe_output(tmp_path)
+    assert "folder that `urbanforest populate` wrote" in caught.value.next_step
+
+
+@pytest.mark.parametrize("text", ["{", "[1]", "5", "[" * 100_000])
+def test_a_torn_provenance_is_told_of_pictures_and_pages(tmp_path, text):
+    about = PngInfo()
+    about.add_text("urbanforest", text)
+    Image.new("RGB", (2, 2)).save(tmp_path / "map.png", pnginfo=about)
+    (tmp_path / "report.html").write_text(
+        f'<script type="application/json" id="urbanforest-provenance">{text}</script>'
+    )  # fmt: skip
+    for name in ("map.png", "report.html"):
+        with pytest.raises(InputError, match="its provenance is torn"):
+            describe_output(tmp_path / name)

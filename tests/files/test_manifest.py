@@ -5,6 +5,7 @@ import pytest
 
 from urbanforest_cli.files.manifest import (
     MANIFEST,
+    TORN,
     Export,
     FileState,
     describe_files,
@@ -167,3 +168,17 @@ def test_an_output_named_twice_or_no_record_at_all_is_a_fault(out):
 def test_an_output_without_files_vouches_for_nothing(out):
     assert not is_intact(out, Export("forest.glb", "glb", "k"))
     assert not is_intact(out, Export("empty", "3dtiles", "k", files={"empty/a": FileState("0" * 64, 0)}))
+
+
+def test_a_torn_manifest_is_kept_aside_before_it_is_written_anew(out, caplog):
+    torn = (out / MANIFEST).read_text()[:-40]
+    (out / MANIFEST).write_text(torn)
+    record_exports(out, [export_of(out, "forest.glb")])
+    assert (out / TORN).read_text() == torn
+    assert "kept as exports.json.torn" in caplog.text
+    assert (list(read_manifest(out)), manifest_faults(out)) == (["forest.glb"], [])
+
+
+def test_a_whole_manifest_is_not_kept_aside(out):
+    record_exports(out, [export_of(out, "forest.glb")])
+    assert not (out / TORN).exists()

@@ -166,21 +166,6 @@ def test_a_model_that_one_tile_uses_lies_within_it(tmp_path):
     assert faults(tmp_path / "tiles") == []
 
 
-def test_models_may_be_built_when_asked_for(tmp_path, written):
-    given = written[1]
-    asked = []
-
-    def models_of(detail, numbers):
-        asked.append((detail, numbers.tolist()))
-        return [MODELS[number] for number in numbers]
-
-    lazy = {name: replace(scenery, models=()) for name, scenery in given.items()}
-    folder = tmp_path / "tiles"
-    write_tiles(folder, tile_scene(lazy, ground_height_m=47.5, models_of=models_of), provenance=PROVENANCE)
-    assert {detail for detail, _ in asked} == {"low", "medium"}
-    assert len(read_plants(folder)) == COUNT
-
-
 def test_same_scene_same_bytes(tmp_path, written):
     again = tmp_path / "tiles"
     write_tiles(again, tile_scene(sceneries(), ground_height_m=47.5), provenance=PROVENANCE)

@@ -83,6 +83,7 @@ def planted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     files = pd.DataFrame({"part": [PART], "sha256": [hash_of(part)], "bytes": [part.stat().st_size],
                           "skeleton_count": [1], "internode_count": [2]})  # fmt: skip
     records = [
+        Record("stencil", 3, "stencilled", UTM, {}, []),
         Record("place", 3, "placed", UTM, {}, []),
         Record("grow", 3, "grown", UTM, {}, [{"name": "place", "sha256": "placed"}]),
     ]

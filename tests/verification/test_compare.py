@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from pyproj import CRS, Transformer
@@ -99,12 +101,57 @@ def test_plants_doubled_are_named_once_each_even_where_they_are_no_plants(expect
     assert only_fault(found, expected) == "2 plants there more than once (lot-4, lot-6)"
 
 
-def test_heights_are_compared_where_both_state_one(expected):
+def test_an_output_that_states_heights_does_so_for_all_that_stand_and_for_no_other(expected):
     found = stated(expected)
     found.height_m[3] += 0.02
     found.height_m[4] = np.nan
     expected.height_m[5] = np.nan
-    assert only_fault(found, expected) == "1 plant of another height (lot-3 by 20.0 mm)"
+    assert compare(found, expected).faults == (
+        "1 plant of another height (lot-3 by 20.0 mm)",
+        "1 plant without a height (lot-4)",
+        "1 plant with a height though nothing stands there (lot-5)",
+    )
+    assert compare(stated(expected, height_m=np.full(COUNT, np.nan)), expected).faults == ()
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "other", "fault"),
+    [
+        ("species", "ulmus_minor", "acer_rubrum", "of another species (lot-3 is acer_rubrum, not ulmus_minor)"),
+        ("lot_id", "a", None, "of another lot (lot-3 is none, not a)"),
+        ("age_years", 20.0, 21.0, "of another age (lot-3 has 21, not 20)"),
+        ("crown_radius_m", 2.0, 2.02, "of another crown radius (lot-3 has 2.02, not 2)"),
+        ("crown_base_m", 2.0, np.nan, "of another crown base (lot-3 has nan, not 2)"),
+        ("dbh_m", 0.2, 0.1985, "of another diameter (lot-3 has 0.1985, not 0.2)"),
+    ],
+)
+def test_what_else_an_output_states_is_compared(expected, column, value, other, fault):
+    kind = object if isinstance(value, str) else float
+    known = dataclasses.replace(expected, columns={column: np.full(COUNT, value, dtype=kind)})
+    found = stated(expected, columns={column: np.full(COUNT, value, dtype=kind)})
+    assert compare(found, known).faults == ()
+    assert compare(stated(expected), known).faults == ()
+    found.columns[column][3] = other
+    assert only_fault(found, known) == f"1 plant {fault}"
+
+
+def test_points_stand_anywhere_between_foot_and_top(expected):
+    found = stated(expected)
+    found.xyz_m[:, 2] = expected.height_m / 2
+    assert compare(found, expected, in_crown=True).faults == ()
+    found.xyz_m[3, 2] = -0.5
+    found.xyz_m[4, 2] = expected.height_m[4] + 0.25
+    fault = only_fault(found, expected, in_crown=True)
+    assert fault == "2 plants off the ground (lot-3 by 500.0 mm, lot-4 by 250.0 mm)"
+
+
+def test_plants_that_the_register_holds_and_that_should_not_be_there_are_told_apart(expected):
+    found = stated(expected)
+    faults = compare(found, expected.take(np.arange(2, COUNT)), left_out=np.array(["lot-0"], dtype=object)).faults
+    assert faults == (
+        "1 plant not in the register (lot-1)",
+        "1 plant dead, or outside its box (lot-0)",
+    )
 
 
 def test_feet_off_the_ground_count_where_they_should_stand_on_it(expected):

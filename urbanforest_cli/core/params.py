@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 Kind = Literal["length", "variance", "fraction", "count", "angle", "years"]
-Family = Literal["positional", "structural"]
 
 STRATEGIES = ("random", "boundary", "cluster", "equidistant", "single", "regular")
 ENTRY_POINT_GROUP = "urbanforest.strategies"
@@ -33,71 +32,71 @@ class PlacementParams:
 
     radius_mean_m: float = _param(
         3.13, symbol="mu", unit="m", low=1.0, high=10.0, minimum=0.1, maximum=50.0,
-        kind="length", family="positional", doc="mean radius of a plant's envelope",
+        kind="length", doc="mean radius of a plant's envelope",
     )  # fmt: skip
     radius_variance_m2: float = _param(
         0.35, symbol="sigma", unit="m2", low=0.1, high=2.0, minimum=0.0, maximum=100.0,
-        kind="variance", family="positional", doc="variance of the envelope radius",
+        kind="variance", doc="variance of the envelope radius",
     )  # fmt: skip
     density: float = _param(
         1.0, symbol="tau", unit="1", low=0.0, high=1.0, minimum=0.0, maximum=1.0,
-        kind="fraction", family="positional", doc="share of the saturated positions that is planted",
+        kind="fraction", doc="share of the saturated positions that is planted",
     )  # fmt: skip
     boundary_width_m: float = _param(
         4.0, symbol="beta", unit="m", low=0.0, high=5.0, minimum=0.0, maximum=1000.0,
-        kind="length", family="positional", doc="width of the planted band along the lot's edge, inward",
+        kind="length", doc="width of the planted band along the lot's edge, inward",
         strategies=("boundary",),
     )  # fmt: skip
     cluster_radius_m: float = _param(
         10.0, symbol="kappa", unit="m", low=1.0, high=20.0, minimum=0.0, maximum=1000.0,
-        kind="length", family="positional", doc="radius of a cluster's disc", strategies=("cluster",),
+        kind="length", doc="radius of a cluster's disc", strategies=("cluster",),
     )  # fmt: skip
     cluster_count_max: float = _param(
         3, symbol="pi", unit="1", low=0, high=5, minimum=0, maximum=1000,
-        kind="count", family="positional", doc="largest number of clusters in a lot", strategies=("cluster",),
+        kind="count", doc="largest number of clusters in a lot", strategies=("cluster",),
     )  # fmt: skip
     grid_size_m: float = _param(
         9.0, symbol="omega", unit="m", low=5.0, high=50.0, minimum=0.2, maximum=1000.0,
-        kind="length", family="positional", doc="side of a lattice cell", strategies=("regular",),
+        kind="length", doc="side of a lattice cell", strategies=("regular",),
     )  # fmt: skip
     grid_jitter: float = _param(
         0.0, symbol="psi", unit="1", low=0.0, high=1.0, minimum=0.0, maximum=1.0,
-        kind="fraction", family="positional", doc="share of its cell a lattice plant may wander in",
+        kind="fraction", doc="share of its cell a lattice plant may wander in",
         strategies=("regular",),
     )  # fmt: skip
     grid_orientation_deg: float = _param(
         0.0, symbol="eta", unit="deg", low=0.0, high=180.0, minimum=0.0, maximum=360.0,
-        kind="angle", family="positional", doc="turn of the lattice against the lot's longer side",
+        kind="angle", doc="turn of the lattice against the lot's longer side",
         strategies=("regular",),
     )  # fmt: skip
     spacing_m: float = _param(
         8.0, symbol="delta", unit="m", low=0.0, high=10.0, minimum=0.0, maximum=1000.0,
-        kind="length", family="positional", doc="distance of plants along the medial axis",
+        kind="length", doc="distance of plants along the medial axis",
         strategies=("equidistant",),
     )  # fmt: skip
     context_radius_m: float = _param(
         60.0, symbol="xi", unit="m", low=0.0, high=300.0, minimum=0.0, maximum=10000.0,
-        kind="length", family="positional", doc="radius in which lots share their values",
+        kind="length", doc="radius in which lots share their values",
     )  # fmt: skip
     age_max_years: float = _param(
         30.0, symbol="alpha", unit="years", low=0.0, high=100.0, minimum=0.0, maximum=1000.0,
-        kind="years", family="structural", doc="oldest a plant may be",
+        kind="years", doc="oldest a plant may be",
     )  # fmt: skip
     tree_fraction: float = _param(
         0.7, symbol="rho", unit="1", low=0.0, high=1.0, minimum=0.0, maximum=1.0,
-        kind="fraction", family="structural", doc="share of trees: 1 all trees, 0 all shrubs",
+        kind="fraction", doc="share of trees: 1 all trees, 0 all shrubs",
     )  # fmt: skip
     species_diversity: float = _param(
         0.3, symbol="theta", unit="1", low=0.0, high=1.0, minimum=0.0, maximum=1.0,
-        kind="fraction", family="structural", doc="share of plants not of the dominant species",
+        kind="fraction", doc="share of plants not of the dominant species",
     )  # fmt: skip
     pruning_factor: float = _param(
         1.0, symbol="gamma", unit="1", low=0.0, high=1.0, minimum=0.0, maximum=1.0,
-        kind="fraction", family="structural", doc="scale of the sides of the crown's bounding volume, 1 unpruned",
+        kind="fraction", doc="scale of the sides of the crown's bounding volume, 1 unpruned",
     )  # fmt: skip
     species_count: float = _param(
         4, symbol="lambda", unit="1", low=1, high=10, minimum=1, maximum=1000,
-        kind="count", family="structural", doc="number of species used in a lot",
+        kind="count", doc="number of species used in a lot",
     )  # fmt: skip
 
 
@@ -114,17 +113,8 @@ class Parameter:
     minimum: float
     maximum: float
     kind: Kind
-    family: Family
     doc: str
     strategies: tuple[str, ...]
-
-    def outside_limits(self, value: float) -> bool:
-        """Tell whether a value must be refused (NaN is outside too)."""
-        return not self.minimum <= value <= self.maximum
-
-    def outside_range(self, value: float) -> bool:
-        """Tell whether a value leaves the paper's table and deserves a warning."""
-        return not self.low <= value <= self.high
 
 
 def _glossary() -> Iterator[Parameter]:

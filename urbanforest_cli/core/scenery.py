@@ -169,7 +169,7 @@ class Property:
     Parameters
     ----------
     values
-        (n,) numbers; for text an object array of str; for an enum uint8 places in `names`.
+        (n,) numbers; for text an object array of str; for an enum uint8 or uint16 places in `names`.
     type, doc
         How it is stored, and what it means with its unit.
     names

@@ -60,14 +60,6 @@ class TilePlan:
         """Return the rows of a tile's plants, ascending."""
         return self.row[self.first[tile] : self.first[tile + 1]]
 
-    def error_m(self, level: int) -> float:
-        """Return the geometric error of a level's tiles."""
-        return float(np.ldexp(self.root_error_m, -level))
-
-    def side_m(self, level: int) -> float:
-        """Return the side of a level's squares."""
-        return float(np.ldexp(2 * self.half_m, -level))
-
 
 @dataclass(frozen=True)
 class FixedCell:

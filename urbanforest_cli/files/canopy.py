@@ -13,18 +13,20 @@ import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.shutil import copy
+from rasterio.windows import Window
 
 from urbanforest_cli.core.errors import InputError, OutputError
 from urbanforest_cli.core.publish import publish
 
-Kind = Literal["height", "base", "cover"]
+Kind = Literal["height", "cover"]
 
 TAG = "urbanforest"
 BLOCK_PX = 512
+CACHE_BYTES = 64 << 20
 NODATA = {"float32": -9999.0, "uint8": 255.0}
 ABOUT: dict[Kind, tuple[str, str, str]] = {
     "height": ("canopy height above the ground, 0 where there is none", "m", "NEAREST"),
-    "base": ("height of the lowest leafy twig above the ground, 0 where there is none", "m", "NEAREST"),
     "cover": ("share of the cell under leaves", "percent", "AVERAGE"),
 }
 """For each kind of raster what its values are, their unit, and how overviews are made."""
@@ -69,17 +71,27 @@ def write_canopy(
                 raise OutputError("the raster was not written whole", where=path)
 
     # Written in memory first: a full disk is then told by the system, not by what the TIFF library makes of it.
-    with rasterio.Env(GDAL_PAM_ENABLED="NO"), rasterio.MemoryFile() as memory:
-        with memory.open(
-            driver="COG", height=rows, width=cols, count=1, dtype=values.dtype,
-            crs=rasterio.crs.CRS.from_wkt(crs.to_wkt()), transform=place,
-            nodata=NODATA[str(values.dtype)], compress="DEFLATE", predictor="YES", blocksize=BLOCK_PX,
-            overview_resampling=resampling, bigtiff="IF_SAFER", num_threads=1,
+    # A plain TIFF goes before, since the driver of cloud-optimised ones holds a whole raster unpacked to be written to.
+    with (
+        rasterio.Env(GDAL_PAM_ENABLED="NO", GDAL_CACHEMAX=CACHE_BYTES),
+        rasterio.MemoryFile() as plain,
+        rasterio.MemoryFile() as memory,
+    ):
+        with plain.open(
+            driver="GTiff", height=rows, width=cols, count=1, dtype=values.dtype,
+            crs=rasterio.crs.CRS.from_wkt(crs.to_wkt()), transform=place, nodata=NODATA[str(values.dtype)],
+            compress="DEFLATE", zlevel=1, tiled=True, blockxsize=BLOCK_PX, blockysize=BLOCK_PX, bigtiff="IF_SAFER",
         ) as file:  # fmt: skip
-            file.write(values, 1)
+            for start in range(0, rows, BLOCK_PX):
+                band = values[start : start + BLOCK_PX]
+                file.write(band[None], [1], window=Window(0, start, cols, len(band)))
             file.set_band_description(1, meaning)
             file.set_band_unit(1, unit)
             file.update_tags(**{TAG: json.dumps(dict(provenance), ensure_ascii=True, allow_nan=False)})
+        copy(
+            plain.name, memory.name, driver="COG", compress="DEFLATE", predictor="YES", blocksize=BLOCK_PX,
+            overview_resampling=resampling, bigtiff="IF_SAFER", num_threads=1,
+        )  # fmt: skip
         with publish(path, verify=verify) as part:
             part.write_bytes(memory.getbuffer())
 

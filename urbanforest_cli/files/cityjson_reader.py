@@ -13,7 +13,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from urbanforest_cli.core.errors import InputError
-from urbanforest_cli.core.placed import PlacedPlants
+from urbanforest_cli.core.placed import COLUMNS, PlacedPlants, stated_columns
 from urbanforest_cli.files.cityjson import CRS_URL, OWN
 from urbanforest_cli.files.words import in_words
 
@@ -29,13 +29,13 @@ _FAULTS = (ValueError, KeyError, IndexError, TypeError, AttributeError, Overflow
 
 @dataclass
 class _Found:
-    """Plants as they are met: ids, vertex of each, what a matrix adds, heights, species."""
+    """Plants as they are met: ids, vertex of each, what a matrix adds, heights, other attributes."""
 
     ids: list[str] = field(default_factory=list)
     vertex: list[int] = field(default_factory=list)
     shift: list[tuple[float, float, float]] = field(default_factory=list)
     height: list[float] = field(default_factory=list)
-    species: list[str | None] = field(default_factory=list)
+    attributes: list[dict[str, Any]] = field(default_factory=list)
 
     def add(self, key: str, item: dict[str, Any], templates: int, offset: int = 0) -> None:
         """Take note of an object, if it is a plant."""
@@ -56,12 +56,12 @@ class _Found:
         if type(vertex) is not int or vertex < 0:
             raise ValueError(f"{key!r} has no vertex")
         attributes = item.get("attributes", {})
-        height, species = attributes.get("height_m"), attributes.get("species")
+        height = attributes.get("height_m")
         self.ids.append(key)
         self.vertex.append(vertex + offset)
         self.shift.append(shift)
         self.height.append(float("nan") if height is None else float(height))
-        self.species.append(species if isinstance(species, str) else None)
+        self.attributes.append({name: attributes[name] for name in COLUMNS if name in attributes})
 
 
 def read_plants(path: Path) -> PlacedPlants:
@@ -206,7 +206,9 @@ def _placed(head: dict[str, Any], found: _Found, vertices: list[list[float]]) ->
         raise ValueError("places that are no numbers")
     ids = np.array(found.ids, dtype=object)
     height = np.array(found.height, dtype=np.float64)
-    return PlacedPlants(ids, xyz, _crs(head), height, np.array(found.species, dtype=object))
+    names = {name for attributes in found.attributes for name in attributes}
+    columns = stated_columns({name: [item.get(name) for item in found.attributes] for name in names})
+    return PlacedPlants(ids, xyz, _crs(head), height, columns)
 
 
 def _crs(head: dict[str, Any]) -> CRS:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from urbanforest_cli.core.errors import InputError, OutputError
-from urbanforest_cli.core.placed import PlacedPlants
+from urbanforest_cli.core.placed import COLUMNS, PlacedPlants, stated_columns
 from urbanforest_cli.core.publish import publish
 from urbanforest_cli.files.words import in_words
 
@@ -130,7 +130,8 @@ def read_plants(path: Path) -> PlacedPlants:
         ids = [feature["properties"]["plant_id"] for feature in features]
         places = [feature["geometry"]["coordinates"][:2] for feature in features]
         heights = [feature["properties"].get("height_m") for feature in features]
-        species = [feature["properties"].get("species") for feature in features]
+        names = {name for feature in features for name in COLUMNS if name in feature["properties"]}
+        columns = stated_columns({name: [item["properties"].get(name) for item in features] for name in names})
         degrees = np.array(places, dtype=np.float64).reshape(len(ids), 2)
         height_m = np.array(heights, dtype=np.float64)
     except OSError as error:
@@ -145,7 +146,7 @@ def read_plants(path: Path) -> PlacedPlants:
         xyz_m=np.column_stack([degrees, np.zeros(len(degrees))]),
         crs=CRS.from_epsg(4326),
         height_m=height_m,
-        species=np.array([name if isinstance(name, str) else None for name in species], dtype=object),
+        columns=columns,
     )
 
 

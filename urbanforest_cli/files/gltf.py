@@ -27,7 +27,6 @@ from urbanforest_cli.files.gltf_pack import (
     model_bytes,
     pack_mesh,
     pack_models,
-    texture_bytes,
     translation,
 )
 from urbanforest_cli.files.gltf_plain import add_plain_plants, add_plain_points
@@ -40,7 +39,6 @@ __all__ = [
     "glb_bytes",
     "model_bytes",
     "pack_models",
-    "texture_bytes",
     "write_glb",
 ]
 

@@ -123,11 +123,6 @@ def model_bytes(packed: PackedModels, number: int) -> bytes:
     return packed.models[number].data
 
 
-def texture_bytes(packed: PackedModels, material: int) -> bytes | None:
-    """Return the PNG of a material."""
-    return packed.materials[material].texture
-
-
 def _within_texture(mesh: Mesh) -> bool:
     return not len(mesh.uv) or bool(mesh.uv.min() >= 0.0 and mesh.uv.max() <= 1.0)
 

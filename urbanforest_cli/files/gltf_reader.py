@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from urbanforest_cli.core.placed import PlacedPlants
+from urbanforest_cli.core.placed import PlacedPlants, stated_columns
 from urbanforest_cli.files.gltf_file import GltfFile
 from urbanforest_cli.files.gltf_plain import PLANTS_MEMBER
+from urbanforest_cli.files.words import in_words
 
-__all__ = ["FoundPlants", "GltfFile", "open_gltf", "plants_of", "read_plants", "read_provenance", "species_of"]
+__all__ = ["FoundPlants", "GltfFile", "columns_of", "open_gltf", "plants_of", "read_plants", "read_provenance"]
 
 OFFSETS = {"UINT8": "u1", "UINT16": "<u2", "UINT32": "<u4", "UINT64": "<u8"}
 NUMBERS = {"FLOAT32": "<f4", "UINT8": "u1", "UINT16": "<u2", "UINT32": "<u4"}
@@ -85,7 +86,7 @@ def read_plants(path: Path) -> PlacedPlants:
     heights = found.columns.get("height_m", np.full(count, np.nan))
     if heights.dtype.kind not in "fiu":
         file.fault("height_m is no number")
-    return PlacedPlants(ids, found.xyz_m + offset, crs, heights.astype(np.float64), species_of(found))
+    return PlacedPlants(ids, found.xyz_m + offset, crs, heights.astype(np.float64), columns_of(file, found))
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
@@ -104,10 +105,12 @@ def _extras(file: GltfFile) -> dict[str, Any]:
     return file.members(file.json["asset"].get("extras"), "asset.extras")
 
 
-def species_of(found: FoundPlants) -> NDArray[np.object_] | None:
-    """Return the species of each plant, None where the file states none."""
-    species = found.columns.get("species")
-    return species if species is not None and species.dtype == np.object_ else None
+def columns_of(file: GltfFile, found: FoundPlants) -> dict[str, NDArray[Any]]:
+    """Return what a file states of each plant beside its place and height, as `PlacedPlants` has it."""
+    try:
+        return stated_columns(found.columns)
+    except (TypeError, ValueError) as error:
+        file.fault("a size that is no number", in_words(error))
 
 
 def plants_of(file: GltfFile) -> FoundPlants:

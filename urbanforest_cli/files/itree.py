@@ -36,6 +36,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
 }
 """For each column its type and meaning; the table has those of them that it is given."""
 
+CM_A_METRE = 100.0
 DECIMALS = {
     "ID": 0, "DBH 1 (cm)": 1, "Total Height (m)": 3, "Crown Base Height (m)": 3, "Crown Width (m)": 3,
     "Latitude": 8, "Longitude": 8,
@@ -75,13 +76,15 @@ def read_plants(path: Path) -> PlacedPlants:
     Raises
     ------
     InputError
-        It is not there, torn, or no inventory of this program.
+        It is not there, torn, or no inventory of this program; or what lies beside it describes another table.
     """
-    numbers = ("Longitude", "Latitude", "Total Height (m)")
+    read_description(path)
+    numbers = ("Longitude", "Latitude", "Total Height (m)", "DBH 1 (cm)", "Crown Base Height (m)", "Crown Width (m)")
     table = read_table(path, {"User Tree ID": "text", **dict.fromkeys(numbers, "number")})
-    longitude, latitude, height = (table[name] for name in numbers)
+    longitude, latitude, height, stem_cm, base, width = (table[name] for name in numbers)
+    sizes = {"dbh_m": stem_cm / CM_A_METRE, "crown_base_m": base, "crown_radius_m": width / 2}
     place = np.column_stack([longitude, latitude, np.zeros(len(longitude))])
-    return PlacedPlants(table["User Tree ID"], place, CRS.from_epsg(4326), height)
+    return PlacedPlants(table["User Tree ID"], place, CRS.from_epsg(4326), height, sizes)
 
 
 def read_provenance(path: Path) -> dict[str, Any] | None:

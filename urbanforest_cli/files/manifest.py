@@ -7,8 +7,10 @@ other: names that lead out of the folder, torn text and fields of a wrong kind a
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
+import shutil
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -16,9 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from urbanforest_cli import __version__
-from urbanforest_cli.core.publish import sha256_of, write_text
+from urbanforest_cli.core.publish import publish, sha256_of, write_text
 
 MANIFEST = "exports.json"
+TORN = "exports.json.torn"
 MANIFEST_VERSION = 1
 SHA256 = re.compile(r"[0-9a-f]{64}")
 
@@ -89,6 +92,8 @@ def manifest_faults(out: Path) -> list[str]:
 def record_exports(out: Path, exports: Iterable[Export], remove: Iterable[str] = ()) -> None:
     """Publish a manifest that names these outputs beside those it named before.
 
+    One that is torn is kept aside as `TORN`, since the hashes of other outputs may stand in it.
+
     Parameters
     ----------
     exports
@@ -102,7 +107,12 @@ def record_exports(out: Path, exports: Iterable[Export], remove: Iterable[str] =
         It could not be written.
     """
     gone = set(remove)
-    merged = {name: export for name, export in read_manifest(out).items() if name not in gone}
+    before, faults = _read(out)
+    if faults and (out / MANIFEST).is_file():
+        with publish(out / TORN) as part:
+            shutil.copyfile(out / MANIFEST, part)
+        logging.getLogger(__name__).warning("%s was torn, and is kept as %s: %s", MANIFEST, TORN, "; ".join(faults))
+    merged = {name: export for name, export in before.items() if name not in gone}
     merged |= {export.name: export for export in exports}
     content = {
         "manifest_version": MANIFEST_VERSION,

@@ -25,7 +25,7 @@ from pyproj.exceptions import CRSError
 
 from urbanforest_cli.core.crs import reproject_xy
 from urbanforest_cli.core.errors import InputError, OutputError
-from urbanforest_cli.core.placed import PlacedPlants
+from urbanforest_cli.core.placed import PlacedPlants, stated_columns
 from urbanforest_cli.core.publish import publish_folder
 from urbanforest_cli.core.scenery import Material, Model, Points, Scenery
 from urbanforest_cli.files.csvw import read_description, read_table, write_description, write_table
@@ -226,7 +226,8 @@ def read_plants(path: Path) -> PlacedPlants:
     """
     table = path / TABLE
     numbers = ("x", "y", "z", "height_m")
-    columns = read_table(table, {"plant_id": "text", "file": "text", "species": "text", **dict.fromkeys(numbers, "number")})
+    words = ("plant_id", "file", "species")
+    columns = read_table(table, {**dict.fromkeys(words, "text"), **dict.fromkeys(numbers, "number")})
     about = read_description(table)
     if about is None:
         raise _wrong(table, "nothing beside it that names its CRS")
@@ -239,7 +240,9 @@ def read_plants(path: Path) -> PlacedPlants:
     except (KeyError, TypeError, CRSError) as error:
         raise _wrong(table, f"its CRS: {error}") from error
     x, y, z, height = (columns[name] for name in numbers)
-    return PlacedPlants(columns["plant_id"], np.column_stack([x, y, z]), crs, height, columns["species"])
+    return PlacedPlants(
+        columns["plant_id"], np.column_stack([x, y, z]), crs, height, stated_columns({"species": columns["species"]})
+    )
 
 
 def read_provenance(path: Path) -> dict[str, Any] | None:

@@ -21,7 +21,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from urbanforest_cli.core.errors import InputError, OutputError
-from urbanforest_cli.core.placed import PlacedPlants
+from urbanforest_cli.core.placed import COLUMNS, PlacedPlants, stated_columns
 from urbanforest_cli.core.publish import publish
 from urbanforest_cli.files.geopackage import check_counts, refuse_sidecars, timestamp, write_layers
 from urbanforest_cli.files.styles import write_crowns_style
@@ -114,7 +114,7 @@ def read_gpkg_plants(path: Path) -> PlacedPlants:
         It is not there, torn, or has no such layer.
     """
     try:
-        frame = pyogrio.read_dataframe(path, layer=LAYER, columns=["plant_id", "height_m", "species"], use_arrow=True)
+        frame = pyogrio.read_dataframe(path, layer=LAYER, columns=["plant_id", "height_m", *COLUMNS], use_arrow=True)
     except (DataSourceError, DataLayerError, RuntimeError, OSError, ValueError) as error:
         raise _wrong(path, str(error)) from error
     if not isinstance(frame, gpd.GeoDataFrame) or frame.crs is None or not {"plant_id", "height_m"} <= set(frame):
@@ -204,12 +204,12 @@ def read_parquet_plants(path: Path) -> PlacedPlants:
     """
     try:
         with pq.ParquetFile(path) as file:
-            table = file.read(columns=["plant_id", "height_m", "species", "geometry"])
+            table = file.read(columns=["plant_id", "height_m", *COLUMNS, "geometry"])
             geo = json.loads((file.schema_arrow.metadata or {})[b"geo"])
         crs = CRS.from_json_dict(geo["columns"]["geometry"]["crs"])
         frame = gpd.GeoDataFrame(
             {"plant_id": table["plant_id"].to_pylist(), "height_m": table["height_m"].to_numpy()}
-            | ({"species": table["species"].to_pylist()} if "species" in table.column_names else {}),
+            | {name: table[name].to_pylist() for name in COLUMNS if name in table.column_names},
             geometry=shapely.from_wkb(table["geometry"].to_numpy()),
             crs=crs,
         )
@@ -242,14 +242,14 @@ def _placed(path: Path, frame: gpd.GeoDataFrame) -> PlacedPlants:
         raise _wrong(path, "geometries that are no points")
     try:
         height = frame["height_m"].to_numpy(dtype=np.float64)
+        columns = stated_columns({name: frame[name] for name in COLUMNS if name in frame})
     except (TypeError, ValueError) as error:
-        raise _wrong(path, f"height_m: {error}") from error
+        raise _wrong(path, f"sizes: {in_words(error)}") from error
     ids = frame["plant_id"].astype(object).to_numpy()
     if not all(isinstance(item, str) for item in ids):
         raise _wrong(path, "plants without a plant_id")
     xyz = np.column_stack([shapely.get_coordinates(shapes).reshape(-1, 2), np.zeros(len(shapes))])
-    species = frame["species"].astype(object).to_numpy() if "species" in frame else None
-    return PlacedPlants(ids, xyz, CRS.from_user_input(frame.crs), height, species)
+    return PlacedPlants(ids, xyz, CRS.from_user_input(frame.crs), height, columns)
 
 
 def _record(path: Path, text: str | bytes) -> dict[str, Any] | None:

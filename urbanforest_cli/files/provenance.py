@@ -15,7 +15,6 @@ from urbanforest_cli import __version__
 from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.errors import SchemaError
 from urbanforest_cli.core.notices import Notices
-from urbanforest_cli.core.publish import sha256_of
 from urbanforest_cli.core.schema import REGISTER_VERSION
 from urbanforest_cli.files.geopackage import layer_names, read_layer, refuse_foreign, timestamp
 
@@ -49,11 +48,6 @@ class Record:
             "warnings": json.dumps(self.notices.as_records(), ensure_ascii=False),
             "written_at": timestamp(),
         }
-
-
-def input_record(path: Path) -> dict[str, str]:
-    """Return the name and SHA-256 of an input."""
-    return {"name": path.name, "sha256": sha256_of(path)}
 
 
 def stage_key(stage: str, *, config: Config, seed: int, inputs: list[str], sections: tuple[str, ...]) -> str:

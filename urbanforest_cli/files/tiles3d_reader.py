@@ -19,7 +19,7 @@ from urbanforest_cli.core.geodesy import from_earth_centred
 from urbanforest_cli.core.placed import PlacedPlants
 from urbanforest_cli.core.scenery import Origin
 from urbanforest_cli.core.tiles import CODE_LEVELS_MAX, from_z_order, z_order
-from urbanforest_cli.files.gltf_reader import open_gltf, plants_of, species_of
+from urbanforest_cli.files.gltf_reader import columns_of, open_gltf, plants_of
 from urbanforest_cli.files.tiles3d_subtree import Subtree, read_subtree, tiles_in
 from urbanforest_cli.files.words import in_words, kind_of
 
@@ -127,11 +127,11 @@ def read_plants(path: Path) -> PlacedPlants:
             raise ValueError("a transform that is not 16 numbers")
     except (KeyError, TypeError, ValueError, CRSError) as error:
         raise _broken(tileset.folder / TILESET, in_words(error)) from error
-    ids, places, heights, species = _plants_of_leaves(tileset)
+    ids, places, heights, columns = _plants_of_leaves(tileset)
     matrix = numbers.reshape(4, 4).T
     on_earth = places @ matrix[:3, :3].T + matrix[:3, 3]
     xyz_m = from_earth_centred(origin, on_earth, ground_height_m=ground_height_m)
-    return PlacedPlants(ids, xyz_m, origin.crs, heights, species)
+    return PlacedPlants(ids, xyz_m, origin.crs, heights, columns)
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
@@ -167,19 +167,20 @@ def check_tiles(folder: Path, *, plants: int) -> None:
 
 def _plants_of_leaves(
     tileset: Tileset,
-) -> tuple[NDArray[np.object_], NDArray[np.float64], NDArray[np.float64], NDArray[np.object_]]:
-    """Return ids, (n, 3) places in the tiles' frame, heights and species of what leaves hold, in the order of ids."""
+) -> tuple[NDArray[np.object_], NDArray[np.float64], NDArray[np.float64], dict[str, NDArray[Any]]]:
+    """Return ids, (n, 3) places in the tiles' frame, heights and what else leaves state, in the order of ids."""
     quadtree = tileset.quadtree
     if quadtree is None:
-        return np.zeros(0, dtype=object), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=object)
+        return np.zeros(0, dtype=object), np.zeros((0, 3)), np.zeros(0), {}
     deepest = int(quadtree.level.max())
     shift = 2 * (deepest - quadtree.level)
     code = z_order(quadtree.x, quadtree.y) << shift
-    leaf_ids, leaf_code, places, heights, kinds = [], [], [], [], []
+    leaf_ids, leaf_code, places, heights, others = [], [], [], [], []
     above: list[tuple[int, NDArray[np.object_]]] = []
     for tile in range(len(quadtree)):
         path = _inside(tileset.folder, quadtree.uri(tile))
-        found = plants_of(open_gltf(path, root=tileset.folder))
+        file = open_gltf(path, root=tileset.folder)
+        found = plants_of(file)
         try:
             ids = np.asarray(found.columns["plant_id"], dtype=object)
             height = np.asarray(found.columns.get("height_m", np.full(len(ids), np.nan)), dtype=np.float64)
@@ -190,8 +191,7 @@ def _plants_of_leaves(
             leaf_code.append(np.full(len(ids), code[tile]))
             places.append(found.xyz_m)
             heights.append(height)
-            stated = species_of(found)
-            kinds.append(np.full(len(ids), None, dtype=object) if stated is None else stated)
+            others.append(columns_of(file, found))
         else:
             above.append((tile, ids))
     ids, codes = np.concatenate(leaf_ids), np.concatenate(leaf_code)
@@ -208,7 +208,11 @@ def _plants_of_leaves(
         if astray.any():
             path = tileset.folder / quadtree.uri(tile)
             raise _broken(path, f"plant {names[np.argmax(astray)]} once more, or in none of the leaves below")
-    return ids[order], np.concatenate(places)[order], np.concatenate(heights)[order], np.concatenate(kinds)[order]
+    stated = set(others[0])
+    if any(set(columns) != stated for columns in others):
+        raise _broken(tileset.folder, "leaves that do not all state the same of plants")
+    columns = {name: np.concatenate([found[name] for found in others])[order] for name in sorted(stated)}
+    return ids[order], np.concatenate(places)[order], np.concatenate(heights)[order], columns
 
 
 def _quadtree(folder: Path, node: dict[str, Any]) -> tuple[Quadtree, tuple[str, ...]]:

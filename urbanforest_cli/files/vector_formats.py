@@ -30,25 +30,22 @@ class VectorFormat:
 
     Parameters
     ----------
-    drivers
-        The GDAL drivers that may open it.
     typed
         Layers say what geometries they hold; if not, any file may hold any mixture.
     """
 
     name: str
     suffixes: tuple[str, ...]
-    drivers: tuple[str, ...] = ()
     typed: bool = True
 
 
-GEOPACKAGE = VectorFormat("GeoPackage", (".gpkg",), ("GPKG",))
-GEOJSON = VectorFormat("GeoJSON", (".geojson", ".json"), ("GeoJSON", "JSONFG"), typed=False)
-SHAPEFILE = VectorFormat("Shapefile", (".shp",), ("ESRI Shapefile",))
-FLATGEOBUF = VectorFormat("FlatGeobuf", (".fgb",), ("FlatGeobuf",))
-GML = VectorFormat("GML", (".gml",), ("GML",))
-FILE_GEODATABASE = VectorFormat("File Geodatabase", (".gdb",), ("OpenFileGDB",))
-OSM = VectorFormat("OpenStreetMap", (".osm.pbf", ".pbf", ".osm"), ("OSM",))
+GEOPACKAGE = VectorFormat("GeoPackage", (".gpkg",))
+GEOJSON = VectorFormat("GeoJSON", (".geojson", ".json"), typed=False)
+SHAPEFILE = VectorFormat("Shapefile", (".shp",))
+FLATGEOBUF = VectorFormat("FlatGeobuf", (".fgb",))
+GML = VectorFormat("GML", (".gml",))
+FILE_GEODATABASE = VectorFormat("File Geodatabase", (".gdb",))
+OSM = VectorFormat("OpenStreetMap", (".osm.pbf", ".pbf", ".osm"))
 GEOPARQUET = VectorFormat("GeoParquet", (".parquet", ".geoparquet"))
 FORMATS = (GEOPACKAGE, GEOJSON, SHAPEFILE, FLATGEOBUF, GML, FILE_GEODATABASE, OSM, GEOPARQUET)
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from urbanforest_cli.core.crs import transformer
-from urbanforest_cli.core.placed import PlacedPlants
+from urbanforest_cli.core.placed import WORDS, PlacedPlants
 
 TOLERANCE_M = 0.01
 EXAMPLES = 3
+WHAT = {
+    "species": "of another species", "lot_id": "of another lot", "age_years": "of another age",
+    "crown_radius_m": "of another crown radius", "crown_base_m": "of another crown base",
+    "dbh_m": "of another diameter",
+}  # fmt: skip
+TOLERANCES = {"age_years": 0.01, "crown_radius_m": 0.01, "crown_base_m": 0.01, "dbh_m": 0.001}
+"""Twice what outputs round by, or more."""
 MM = 1000.0
 SLACK_M = 1e-9
 
@@ -36,23 +43,23 @@ class Expected:
         (n,), NaN where nothing stands.
     crs
         The working CRS, projected, in metres.
-    species
-        (n,) object array of identifiers; None where it is no matter.
+    columns
+        What else is known of plants: (n,) each, words or float64, by the names of `core.placed.COLUMNS`.
     """
 
     plant_id: NDArray[np.object_]
     xy_m: FloatArray
     height_m: FloatArray
     crs: CRS
-    species: NDArray[np.object_] | None = None
+    columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.plant_id)
 
     def take(self, rows: NDArray[Any]) -> Expected:
         """Return some of them."""
-        species = self.species[rows] if self.species is not None else None
-        return Expected(self.plant_id[rows], self.xy_m[rows], self.height_m[rows], self.crs, species)
+        columns = {name: values[rows] for name, values in self.columns.items()}
+        return Expected(self.plant_id[rows], self.xy_m[rows], self.height_m[rows], self.crs, columns)
 
 
 @dataclass(frozen=True)
@@ -83,10 +90,10 @@ def compare(
     in_crown: bool = False,
     left_out: NDArray[np.object_] | None = None,
 ) -> Comparison:
-    """Compare by plant id: which are missing, too many, doubled, elsewhere, of another height or of another species.
+    """Compare by plant id: which are missing, too many, doubled, elsewhere, or otherwise than the register has them.
 
     Places are compared on the map. An output that states heights must do so for all that stand, and for no other;
-    species are compared where both sides know any.
+    the rest is compared where an output states it.
 
     Parameters
     ----------
@@ -112,14 +119,16 @@ def compare(
     faults = [
         *named("missing", expected.plant_id[times == 0]),
         *named("not in the register", too_many[~beside]),
-        *named("that do not stand, or lie outside its box", too_many[beside]),
+        *named("dead, or outside its box", too_many[beside]),
         *named("there more than once", doubles),
         *_apart("elsewhere", names, distance, tolerance_m),
         *_apart("of another height", names, _difference(stated.height_m[both], expected.height_m[place]), tolerance_m),
         *_height_faults(names, stated.height_m[both], expected.height_m[place]),
     ]
-    if stated.species is not None and expected.species is not None:
-        faults += _species_faults(names, stated.species[both], expected.species[place])
+    for name in WHAT:
+        if name in stated.columns and name in expected.columns:
+            pair = stated.columns[name][both], expected.columns[name][place]
+            faults += _words_faults(name, names, *pair) if name in WORDS else _numbers_faults(name, names, *pair)
     if on_ground or in_crown:
         top = expected.height_m[place] if in_crown else 0.0
         faults += _apart("off the ground", names, np.maximum(-xyz[:, 2], xyz[:, 2] - top), tolerance_m)
@@ -154,12 +163,20 @@ def _height_faults(names: NDArray[np.object_], stated: FloatArray, expected: Flo
     ]
 
 
-def _species_faults(
-    names: NDArray[np.object_], stated: NDArray[np.object_], expected: NDArray[np.object_]
-) -> list[str]:  # fmt: skip
+def _words_faults(
+    column: str, names: NDArray[np.object_], stated: NDArray[np.object_], expected: NDArray[np.object_]
+) -> list[str]:
     other = np.flatnonzero(stated != expected)
-    shown = [f"{names[row]} is {stated[row] or 'none'}, not {expected[row]}" for row in other]
-    return named("of another species", shown)
+    return named(WHAT[column], [f"{names[row]} is {stated[row] or 'none'}, not {expected[row]}" for row in other])
+
+
+def _numbers_faults(
+    column: str, names: NDArray[np.object_], stated: FloatArray, expected: FloatArray
+) -> list[str]:  # fmt: skip
+    """Tell of numbers further apart than outputs round them, and of some that are not stated where others are."""
+    unlike = np.isnan(stated) != np.isnan(expected) if np.isfinite(stated).any() else np.zeros(len(names), dtype=bool)
+    other = np.flatnonzero(unlike | (np.abs(stated - expected) > TOLERANCES[column] + SLACK_M))
+    return named(WHAT[column], [f"{names[row]} has {stated[row]:g}, not {expected[row]:g}" for row in other])
 
 
 def named(what: str, ids: Sequence[Any] | NDArray[np.object_] | pd.Index[Any]) -> list[str]:

@@ -7,7 +7,7 @@ import fcntl
 import math
 import os
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,11 +23,11 @@ from rasterio.errors import RasterioError
 from urbanforest_cli.core.boxes import Bounds, in_box
 from urbanforest_cli.core.crs import reproject_xy
 from urbanforest_cli.core.errors import BusyError, InputError, UrbanForestError
-from urbanforest_cli.core.placed import PlacedPlants
+from urbanforest_cli.core.placed import COLUMNS, PlacedPlants, standing, stated_columns
 from urbanforest_cli.files import cityjson_reader, geojson, gltf_reader, itree, obj, plant_tables, tiles3d_reader
 from urbanforest_cli.files.describe import describe_output
 from urbanforest_cli.files.geopackage import layer_names, read_layer, refuse_foreign
-from urbanforest_cli.files.manifest import MANIFEST, Export, faults_of, manifest_faults, read_manifest
+from urbanforest_cli.files.manifest import MANIFEST, TORN, Export, faults_of, manifest_faults, read_manifest
 from urbanforest_cli.files.provenance import read_records
 from urbanforest_cli.files.register_check import geopackage_faults, part_faults, register_faults, skeleton_faults
 from urbanforest_cli.files.skeleton_parts import parts_folder
@@ -37,7 +37,6 @@ from urbanforest_cli.verification.compare import Comparison, Expected, compare, 
 from urbanforest_cli.verification.verdicts import Verdict
 
 REGISTER = "register.gpkg"
-STANDING = ("unique", "library")
 CELLS_PER_CROWN = 2.0
 AROUND = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)], dtype=np.float64)
 READ_ERRORS = (UrbanForestError, OSError, ValueError, sqlite3.Error, RasterioError)
@@ -67,7 +66,7 @@ def verify_outputs(out: Path, files: Iterable[Path] = ()) -> list[Verdict]:
         A run is writing to the folder.
     """
     register = out / REGISTER if out.is_dir() else out
-    refuse_foreign(register)
+    _refuse_unreadable(register)
     with _undisturbed(register.parent):
         held = _Held(register, read_manifest(register.parent))
         asked = [held.find(path) for path in files]
@@ -78,8 +77,21 @@ def verify_outputs(out: Path, files: Iterable[Path] = ()) -> list[Verdict]:
         there = _names_in(held.folder)
         names = sorted((there | set(held.recorded)) - {register.name})
         others = [_judge(held.folder / name, held) for name in names]
-        manifest = _judge_manifest(held.folder, is_wanted=bool(there))
+        manifest = _judge_manifest(held.folder, unnamed=there - set(held.recorded))
         return [verdict, *others, *([manifest] if manifest.faults else [])]
+
+
+def _refuse_unreadable(register: Path) -> None:
+    """Refuse what is no register, or damaged so that it does not even say so."""
+    try:
+        refuse_foreign(register)
+    except (ValueError, sqlite3.Error) as error:
+        raise InputError(
+            "the register cannot be read",
+            where=register,
+            found=in_words(error),
+            next_step="make it again with `urbanforest populate`",
+        ) from error
 
 
 @contextlib.contextmanager
@@ -219,14 +231,15 @@ def read_truth(register: Path) -> Truth:
             raise InputError("layer 'trees' grew from other plants than those placed last", where=register)
         born = (trees["reason"] != "unborn").to_numpy()
         plants, trees = plants[born], trees[born]
-    stands = np.zeros(len(plants), dtype=bool) if trees is None else _stands(trees)
+    stands = np.zeros(len(plants), dtype=bool) if trees is None else standing(trees)
+    known = plants if trees is None else trees
     return Truth(
         placed=Expected(
             plant_id=plants["plant_id"].to_numpy(dtype=object),
             xy_m=reproject_xy(_xy(plants), CRS.from_user_input(plants.crs), working),
             height_m=np.where(stands, _numbers(trees, "height_m", len(plants)), np.nan),
             crs=working,
-            species=plants["species"].to_numpy(dtype=object),
+            columns=stated_columns({name: known[name] for name in COLUMNS if name in known}),
         ),
         stands=stands,
         crown_radius_m=np.where(stands, _numbers(trees, "crown_radius_m", len(plants)), 0.0),
@@ -238,13 +251,8 @@ def read_truth(register: Path) -> Truth:
 def _nothing(working: CRS) -> Truth:
     """Return what a register without plants says."""
     none, nowhere = np.zeros(0), np.zeros((0, 2))
-    placed = Expected(np.zeros(0, dtype=object), nowhere, none, working, np.zeros(0, dtype=object))
+    placed = Expected(np.zeros(0, dtype=object), nowhere, none, working)
     return Truth(placed, none.astype(bool), none, nowhere, growth="", is_planted=False)
-
-
-def _stands(trees: pd.DataFrame) -> NDArray[np.bool_]:
-    stands = trees["grown"].isin(STANDING) & (trees["height_m"] > 0) & trees["skeleton_id"].notna()
-    return np.asarray(stands & trees["reason"].isna(), dtype=bool)
 
 
 def _xy(frame: Any) -> NDArray[np.float64]:
@@ -291,6 +299,8 @@ KINDS: Mapping[str, _Kind] = {
 """By the end of the file's name; a folder is what the file of that name in it is."""
 FOLDERS = ("tileset.json", "placements.csv")
 CANOPY = (".tif", ".tiff")
+DESCRIPTION = "-metadata.json"
+"""What the name of a table's description ends in more; reading the table holds it against that."""
 USUAL = (
     "forest.glb", "tiles", "forest.city.json", "plants.geojson", "plants.gpkg", "plants.parquet", "itree.csv",
     "species", "canopy_height.tif", "canopy_cover.tif",
@@ -379,13 +389,15 @@ class _Asked:
         return west, south, east, north
 
 
-def _judge_manifest(folder: Path, *, is_wanted: bool) -> Verdict:
-    """Check the list of outputs; that there is none is a fault where there are outputs."""
+def _judge_manifest(folder: Path, unnamed: Collection[str] = ()) -> Verdict:
+    """Check the list of outputs; that there is none, or that it was torn, is a fault where it leaves outputs out."""
     verdict = Verdict(MANIFEST, found.MANIFEST, found.INTACT)
     if (folder / MANIFEST).exists():
-        faults = tuple(manifest_faults(folder))
-        return replace(verdict, state=found.CHANGED, faults=faults) if faults else verdict
-    if not is_wanted:
+        faults = manifest_faults(folder)
+        if unnamed and (folder / TORN).exists():
+            faults.append(f"it was torn once, and no longer names {', '.join(sorted(unnamed))}; {TORN} is what it was")
+        return replace(verdict, state=found.CHANGED, faults=tuple(faults)) if faults else verdict
+    if not unnamed:
         return verdict
     fault = f"{MANIFEST} is missing: nothing tells how the files here were written, so a change of them is not seen"
     return replace(verdict, state=found.MISSING, faults=(fault,))
@@ -393,12 +405,15 @@ def _judge_manifest(folder: Path, *, is_wanted: bool) -> Verdict:
 
 def _judge_asked(path: Path, held: _Held) -> Verdict:
     """Judge what was asked for by name: what cannot be checked is a fault."""
+    table = path.with_name(path.name.removesuffix(DESCRIPTION))
+    if table != path and table.is_file() and held.within(path) is None:
+        path = table
     within = held.within(path)
     parts = parts_folder(held.register).name
     if within is not None:
         name = within.as_posix()
         if name == MANIFEST:
-            return _judge_manifest(held.folder, is_wanted=True)
+            return _judge_manifest(held.folder)
         if within.parts[0] == parts and len(within.parts) <= 2:
             return _judge_skeletons(path, name, held)
         owner = next(
@@ -458,7 +473,7 @@ def _judge(path: Path, held: _Held) -> Verdict:
 
 def _stale_faults(asked: _Asked, kind: tuple[_Kind, Path] | None, path: Path, truth: Truth | None) -> list[str]:
     """Tell that an output shows another growth than the register; then there is nothing to compare."""
-    if truth is None or not path.exists() and asked.growth is None:
+    if truth is None or (asked.growth is None and not path.exists()):
         return []
     grew = asked.growth or (asked.growth is None and _needs_growth(kind, path))
     if not truth.growth and grew:
@@ -537,4 +552,6 @@ def _canopy_faults(path: Path, truth: Truth, bbox: Bounds | None) -> list[str]:
 def _told(error: Exception) -> str:
     if isinstance(error, UrbanForestError):
         return error.what + (f": {error.found}" if error.found is not None else "")
+    if isinstance(error, RasterioError):
+        return f"cannot be read: {error.__cause__ or error}"
     return f"cannot be read: {in_words(error)}"

@@ -91,18 +91,24 @@ class DiffersError(UrbanForestError):
 
 def _next_step(verdicts: Sequence[Verdict]) -> str:
     """Name the commands that write again what has faults; where exports.json is lost, all that it no longer names."""
-    is_lost = any(verdict.state == MISSING for verdict in verdicts)
+    is_lost = any(verdict.format == MANIFEST and verdict.faults for verdict in verdicts)
     again = {verdict.format for verdict in verdicts if verdict.faults or (is_lost and not verdict.recorded)}
     steps = []
     if again & {OF_POPULATE, REGISTER, SKELETONS, MANIFEST}:
         steps.append("`urbanforest populate` (the register, skeletons, forest.glb, plants.geojson, pictures, report)")
     if formats := [name for name in FORMATS if name in again]:
-        steps.append(f"`urbanforest export OUT --to {','.join(formats)}`")
+        steps.append(f"`urbanforest export OUT --to {','.join(formats)}`" + _with_options(verdicts))
     if OF_RENDER in again:
         steps.append("`urbanforest render OUT`")
     if not steps:
         return "name files that this program wrote, or none, to check all in the folder"
     return "write again what has faults: " + ", ".join(steps)
+
+
+def _with_options(verdicts: Sequence[Verdict]) -> str:
+    """Tell that a part of the city, or a file elsewhere, is written again by the options that made it alone."""
+    special = any(verdict.faults and (verdict.is_part or not verdict.recorded) for verdict in verdicts)
+    return " with the same -o, --bbox and --detail as before" if special else ""
 
 
 def refuse_faults(out: Path, verdicts: Sequence[Verdict]) -> None:

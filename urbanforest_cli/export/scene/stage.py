@@ -17,6 +17,7 @@ from urbanforest_cli.core.colours import zone_colour
 from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.crs import reproject, reproject_xy
 from urbanforest_cli.core.errors import InputError, StaleError
+from urbanforest_cli.core.placed import standing
 from urbanforest_cli.core.scenery import Origin
 from urbanforest_cli.core.skeleton import Skeletons
 from urbanforest_cli.export.scene.city import City, Plants
@@ -28,7 +29,6 @@ from urbanforest_cli.files.skeletons import read_parts
 from urbanforest_cli.files.species import load_catalogue
 
 ORDERED_BY = {"lots": "lot_id", "buildings": "building_id", "roads": "road_id"}
-STANDING = ("unique", "library")
 
 
 def read_city(register: Path, *, config: Config, bbox: Bounds | None = None) -> City:
@@ -61,9 +61,7 @@ def read_city(register: Path, *, config: Config, bbox: Bounds | None = None) -> 
         raise _stale(register)
     register_crs = CRS.from_user_input(trees.crs)
     trees["pruning_factor"] = plants["pruning_factor"].to_numpy()
-    stands = trees["grown"].isin(STANDING) & (trees["height_m"] > 0) & trees["skeleton_id"].notna()
-    stands &= trees["reason"].isna()
-    trees = gpd.GeoDataFrame(trees[stands].reset_index(drop=True))
+    trees = gpd.GeoDataFrame(trees[standing(trees)].reset_index(drop=True))
     catalogue = load_catalogue(config.species)
     lots, buildings, roads = (_shapes(register, name, working) for name in ("lots", "buildings", "roads"))
     xy = reproject_xy(shapely.get_coordinates(trees.geometry.to_numpy()), register_crs, working)
