@@ -1,3 +1,5 @@
+import re
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -38,10 +40,9 @@ def test_kernel_agrees_with_its_slow_twin():
     places, reach = all_twigs(city)
     places = np.column_stack([places[:, 0] - found.west_m, found.north_m - places[:, 1], places[:, 2]])
     rows, cols = found.top_m.shape
-    top, base, count = press(places, reach, rows, cols, 0.7)
+    top, count = press(places, reach, rows, cols, 0.7)
     assert count.max() > 40
     assert np.abs(found.top_m - top).max() <= 0.0051
-    assert np.abs(found.base_m - base).max() <= 0.0051
     assert np.abs(found.cover_percent - count / 0.64).max() <= 0.51
     assert ((found.cover_percent > 0) == (count > 0)).all()
 
@@ -69,18 +70,15 @@ def test_neither_bands_nor_batches_make_a_difference(name, value, monkeypatch):
     monkeypatch.setattr(canopy, name, value)
     cut = canopy_rasters(city)
     assert (whole.top_m == cut.top_m).all()
-    assert (whole.base_m == cut.base_m).all()
     assert (whole.cover_percent == cut.cover_percent).all()
 
 
-def test_heights_are_zero_where_nothing_covers_the_ground_and_base_is_below_top():
+def test_heights_are_zero_where_nothing_covers_the_ground():
     found = canopy_rasters(planted_city(12))
     bare = found.cover_percent == 0
     assert bare.any()
     assert not bare.all()
     assert (found.top_m[bare] == 0).all()
-    assert (found.base_m[bare] == 0).all()
-    assert (found.base_m <= found.top_m).all()
     assert found.cover_percent.max() <= 100
 
 
@@ -98,6 +96,37 @@ def test_a_city_without_plants_has_a_raster_of_nothing():
     assert none.cover_percent.sum() == 0
 
 
-def test_cells_too_small_for_the_city_are_refused():
-    with pytest.raises(LimitError, match="too large"):
-        canopy_rasters(planted_city(3, size_m=5000.0), cell_m=0.01)
+def test_cells_too_small_for_the_city_are_refused_with_a_way_out():
+    with pytest.raises(LimitError, match="too large") as told:
+        canopy_rasters(planted_city(3, size_m=5000.0), cell_m=0.05)
+    assert told.value.expected == "at most 200,000,000 cells"
+    assert "larger cells" in told.value.next_step
+    assert "--bbox" in told.value.next_step
+
+
+def test_the_largest_raster_allowed_is_made(monkeypatch):
+    city = planted_city(3)
+    monkeypatch.setattr(canopy, "CELL_LIMIT", 1)
+    with pytest.raises(LimitError) as told:
+        canopy_rasters(city)
+    rows, cols = map(int, re.findall(r"\d+", told.value.found)[:2])
+    monkeypatch.setattr(canopy, "CELL_LIMIT", rows * cols - 1)
+    with pytest.raises(LimitError):
+        canopy_rasters(city)
+    monkeypatch.setattr(canopy, "CELL_LIMIT", rows * cols)
+    assert canopy_rasters(city).top_m.base.shape == (rows, cols)
+
+
+def test_a_raster_takes_few_bytes_a_cell(monkeypatch):
+    city = planted_city(8, 2, size_m=300.0)
+    canopy_rasters(city)
+    monkeypatch.setattr(canopy, "BAND_CELLS", 300_000)
+    tracemalloc.start()
+    try:
+        found = canopy_rasters(city, cell_m=0.2)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    cells = found.top_m.base.size  # before bare edges were taken off
+    assert cells > 1_000_000
+    assert 5 * cells < peak < 8 * cells

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,8 @@ from urbanforest_cli.export.scene import models
 from urbanforest_cli.export.scene.models import build_scenery
 from urbanforest_cli.export.scene.pieces import Piece
 from urbanforest_cli.export.scene.prototypes import choose_prototypes
+from urbanforest_cli.files.gltf import write_glb
+from urbanforest_cli.files.gltf_reader import open_gltf, plants_of
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +71,20 @@ def test_properties_are_those_of_the_plants(city):
     habit = [found["habit"].names[place] for place in found["habit"].values]
     assert habit == [city.species[row].habit for row in city.plants.species]
     assert found["height_m"].values == pytest.approx(city.plants.height_m)
+
+
+@pytest.mark.parametrize(("count", "kept"), [(256, np.uint8), (257, np.uint16), (300, np.uint16)])
+def test_any_number_of_species_goes_through_a_file(tmp_path, count, kept):
+    city = planted_city(count + 40, 4)
+    species = tuple(replace(city.species[0], id=f"species_{number}") for number in range(count))
+    grown = np.random.default_rng(3).permutation(len(city.plants)) % count
+    city = replace(city, species=species, plants=replace(city.plants, species=grown))
+    scene = scenery(city, "point", count_max=2 * count)
+    assert scene.properties["species"].values.dtype == kept
+    write_glb(tmp_path / "forest.glb", scene)
+    found = plants_of(open_gltf(tmp_path / "forest.glb")).columns
+    told = dict(zip(found["plant_id"], found["species"], strict=True))
+    assert told == {plant: species[row].id for plant, row in zip(city.plants.plant_id, grown, strict=True)}
 
 
 def test_surroundings_share_materials_that_follow_those_of_plants(city):

@@ -29,6 +29,14 @@ def city():
     return xyz, plan_tiles(xyz, ids(len(xyz)), details=DETAILS, reach_m=7.0, shown_max=500)
 
 
+def side_m(plan, level):
+    return 2 * plan.half_m / 2**level
+
+
+def error_m(plan, level):
+    return plan.root_error_m / 2**level
+
+
 def slow_z_order(x, y):
     return sum((x >> bit & 1) << 2 * bit | (y >> bit & 1) << (2 * bit + 1) for bit in range(31))
 
@@ -52,7 +60,7 @@ def test_leaves_hold_every_plant_once_at_the_finest_detail(city):
 def test_plants_stand_in_the_squares_of_their_tiles(city):
     xyz, plan = city
     for tile in range(len(plan)):
-        side = plan.side_m(int(plan.level[tile]))
+        side = side_m(plan, plan.level[tile])
         west = plan.centre_m[0] - plan.half_m + side * plan.x[tile]
         south = plan.centre_m[1] - plan.half_m + side * plan.y[tile]
         place = xyz[plan.rows(tile), :2] - [west, south]
@@ -111,7 +119,7 @@ def test_finest_detail_serves_to_150_m_then_each_next_to_twice_that(city):
     _, plan = city
     for steps, detail in enumerate(("medium", "low", "billboard", "point")):
         level = plan.levels - 1 - steps
-        seen_from = plan.error_m(level - 1) * PIXELS_OF_A_METRE_AT_ONE_METRE / TOLERANCE_PX
+        seen_from = error_m(plan, level - 1) * PIXELS_OF_A_METRE_AT_ONE_METRE / TOLERANCE_PX
         assert seen_from == pytest.approx(FINEST_WITHIN_M * 2**steps)
         assert DETAILS[plan.detail[plan.level == level].min()] == detail
 
@@ -149,16 +157,16 @@ def test_plants_all_at_one_place_share_one_leaf():
 
 def test_a_sparse_forest_has_larger_leaves_but_the_same_distances():
     plan = plan_tiles(scattered(2000, 3000.0), ids(2000), details=DETAILS, reach_m=3.0)
-    assert plan.side_m(plan.levels - 1) > 300
+    assert side_m(plan, plan.levels - 1) > 300
     assert max(np.diff(plan.first)[plan.is_leaf]) <= 64
-    seen_from = plan.error_m(plan.levels - 2) * PIXELS_OF_A_METRE_AT_ONE_METRE / TOLERANCE_PX
+    seen_from = error_m(plan, plan.levels - 2) * PIXELS_OF_A_METRE_AT_ONE_METRE / TOLERANCE_PX
     assert seen_from == pytest.approx(FINEST_WITHIN_M)
 
 
 def test_one_detail_alone_is_enough():
     plan = plan_tiles(scattered(50, 100.0), ids(50), details=("low",), reach_m=3.0)
     assert plan.is_leaf.tolist() == [True]
-    assert plan.error_m(0) > 0
+    assert plan.root_error_m > 0
 
 
 def test_a_few_plants_spare_their_square_the_last_halving():

@@ -51,8 +51,6 @@ class LeafShape:
         Teeth of the edge, and how many on each side.
     leaflets
         Pairs of leaflets along a stalk; 0 for a simple leaf.
-    opposite
-        Whether leaves stand in pairs on a twig, or one by one.
     """
 
     outline: tuple[tuple[float, float], ...]
@@ -61,7 +59,6 @@ class LeafShape:
     palmate: bool = False
     margin: Margin = "entire"
     leaflets: int = 0
-    opposite: bool = False
     teeth: int = 13
 
 
@@ -84,7 +81,7 @@ RED_OAK = ((0.0, 0.0), (0.10, 0.06), (0.22, 0.05), (0.27, 0.15), (0.22, 0.18), (
            (0.33, 0.83), (0.22, 0.88), (0.10, 0.86), (0.06, 0.91), (0.0, 1.0))  # fmt: skip
 
 SHAPES: dict[str, LeafShape] = {
-    "acer_platanoides": LeafShape(MAPLE, lobed=True, palmate=True, opposite=True,
+    "acer_platanoides": LeafShape(MAPLE, lobed=True, palmate=True,
                                   lobe_tips=((0.34, 0.12), (0.49, 0.42), (0.46, 0.60))),
     "tilia_cordata": LeafShape(HEART, margin="serrate", teeth=20),
     "platanus_acerifolia": LeafShape(PLANE, lobed=True, palmate=True, lobe_tips=((0.36, 0.10), (0.49, 0.47))),
@@ -93,9 +90,9 @@ SHAPES: dict[str, LeafShape] = {
     "gleditsia_triacanthos": LeafShape(LANCE, leaflets=9),
     "prunus_serrulata": LeafShape(CHERRY, margin="serrate", teeth=18),
     "corylus_avellana": LeafShape(ROUNDISH, margin="doubly serrate", teeth=12),
-    "cornus_sanguinea": LeafShape(OVATE, opposite=True),
-    "ligustrum_vulgare": LeafShape(LANCE, opposite=True),
-    "syringa_vulgaris": LeafShape(HEART, opposite=True),
+    "cornus_sanguinea": LeafShape(OVATE),
+    "ligustrum_vulgare": LeafShape(LANCE),
+    "syringa_vulgaris": LeafShape(HEART),
 }  # fmt: skip
 PLAIN = LeafShape(OVATE)
 

@@ -141,7 +141,7 @@ def _trace(
             is_thick = end_radius > max(STUMP_RADII * tip, STUMP_ERRORS * error)
             is_stump = _bears(last, pipes, thick, pipes_min) or (is_thick and not is_cut)
             if is_stump:
-                length = _close(path, length, error)
+                length = _close(path, length)
             else:
                 path[length - 1, 3] = 0.0
 
@@ -325,7 +325,7 @@ def _start_branch(path, drawn, below, x, y, z, radius, error, side_radius, outer
 
 
 @njit(**BARE)
-def _close(path, length, error):
+def _close(path, length):
     """Add a dome to the end of a path."""
     i, p = length - 1, length - 2
     dx, dy, dz = path[i, 0] - path[p, 0], path[i, 1] - path[p, 1], path[i, 2] - path[p, 2]

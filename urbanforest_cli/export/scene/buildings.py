@@ -5,7 +5,6 @@ The stated height is that of the eaves, or of a flat roof; ridges and parapets r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,13 +49,10 @@ class Built:
         Walls and roofs by cell.
     left_out
         Buildings without area or height.
-    roof_count
-        Footprints by roof: gable, hip, parapet, flat.
     """
 
     pieces: tuple[Piece, ...]
     left_out: int
-    roof_count: Mapping[str, int]
 
 
 @dataclass(frozen=True)
@@ -75,13 +71,12 @@ class _Footprints:
 
 @dataclass(frozen=True)
 class _Roofs:
-    """Roofs, `of` (t,) their polygon, `peak` (w, 3) tips of gables above the eaves of walls, and counts by kind."""
+    """Roofs, `of` (t,) their polygon, and `peak` (w, 3) tips of gables above the eaves of walls."""
 
     triangles: Triangles
     of: NDArray[np.int64]
     peak: FloatArray
     has_parapet: NDArray[np.bool_]
-    count: Mapping[str, int]
 
 
 def build_buildings(city: City) -> Built:
@@ -98,7 +93,7 @@ def build_buildings(city: City) -> Built:
     ground_m = -city.origin.height_m
     pieces = pieces_of(walls, cell[of_wall], name="walls", material=WALL, ground_m=ground_m)
     pieces += pieces_of(roofs.triangles, cell[roofs.of], name="roofs", material=ROOF, ground_m=ground_m)
-    return Built(tuple(pieces), left_out, roofs.count)
+    return Built(tuple(pieces), left_out)
 
 
 def _footprints(city: City) -> tuple[_Footprints, int]:
@@ -150,17 +145,10 @@ def _roofs(footprints: _Footprints) -> _Roofs:
     peak[walls] = pitched.peak
     flat_rows = np.flatnonzero(~is_pitched)
     flat, of_flat, parapet = flat_roofs(polygon[flat_rows], height[flat_rows])
-    gabled = np.unique(footprints.of[peak[:, 2] > 0])
-    count = {
-        "gable": len(gabled),
-        "hip": int(is_pitched.sum()) - len(gabled),
-        "parapet": int(parapet.sum()),
-        "flat": int((~parapet).sum()),
-    }
     has_parapet = np.zeros(len(polygon), dtype=bool)
     has_parapet[flat_rows] = parapet
     of = np.append(rows[pitched.polygon], flat_rows[of_flat])
-    return _Roofs(put_together([pitched.triangles, flat]), of, peak, has_parapet, count)
+    return _Roofs(put_together([pitched.triangles, flat]), of, peak, has_parapet)
 
 
 def _walls(footprints: _Footprints, roofs: _Roofs) -> tuple[Triangles, NDArray[np.int64]]:

@@ -1,4 +1,4 @@
-"""Crowns as grown, seen from above: how high they are, how low they hang and how much ground they cover."""
+"""Crowns as grown, seen from above: how high they are and how much ground they cover."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from urbanforest_cli.core.skeleton import Skeletons, pipe_count, standing
 from urbanforest_cli.core.species import Species
 from urbanforest_cli.export.plant_looks import look_of
 from urbanforest_cli.export.plant_scene import TWIG_PIPES, TWIG_SEASONS
-from urbanforest_cli.export.scene.canopy_kernel import SUB, count_parts, stamp_twigs
+from urbanforest_cli.export.scene.canopy_kernel import share_covered, stamp_twigs
 from urbanforest_cli.export.scene.city import City
 
 CELL_M = 1.0
-CELL_LIMIT = 1_000_000_000
-BAND_CELLS = 32_000_000  # of which 16 bytes each are in memory at once
+CELL_LIMIT = 200_000_000  # of 5 bytes each, and 8 in a band
+BAND_CELLS = 32_000_000
 SHAPES_AT_ONCE = 1000
 SECTORS = 8  # a crown's radius is its mean reach over so many, so none reaches further than eight times as far
 LEAF_SHARE = 0.45  # of a blade's length lies beyond its spray
@@ -34,8 +34,8 @@ class Canopy:
         Upper left corner in the working CRS, a multiple of the cell; beyond the raster nothing is covered.
     cell_m
         Side of a cell.
-    top_m, base_m
-        (rows, cols) float32 height above the ground of the highest and of the lowest leafy twig; 0 where there is none.
+    top_m
+        (rows, cols) float32 height above the ground of the highest leafy twig; 0 where there is none.
     cover_percent
         (rows, cols) uint8 share of a cell that lies under leaves, 0 to 100; gaps within crowns count as gaps.
     """
@@ -44,7 +44,6 @@ class Canopy:
     north_m: float
     cell_m: float
     top_m: NDArray[np.float32]
-    base_m: NDArray[np.float32]
     cover_percent: NDArray[np.uint8]
 
 
@@ -58,23 +57,18 @@ def canopy_rasters(city: City, *, cell_m: float = CELL_M) -> Canopy:
     Raises
     ------
     LimitError
-        The grid would have more than a thousand million cells.
+        The grid would have more than `CELL_LIMIT` cells.
     """
     west, north, rows, cols = _grid(city, cell_m)
-    top, base = np.zeros((rows, cols), np.float32), np.zeros((rows, cols), np.float32)
-    cover = np.zeros((rows, cols), np.uint8)
+    top, cover = np.zeros((rows, cols), np.float32), np.zeros((rows, cols), np.uint8)
     height = max(BAND_CELLS // cols, 1)
     for start in range(0, rows, height):
         band = slice(start, min(start + height, rows))
-        base[band] = np.inf
-        parts = np.zeros((band.stop - start, cols), np.uint64)
-        _press(city, cell_m, west, north - start * cell_m, top[band], base[band], parts)
-        count = count_parts(parts)
-        base[band][count == 0] = 0.0
-        cover[band] = np.maximum(np.rint(count * (100.0 / SUB**2)), count > 0)
+        _press(city, cell_m, west, north - start * cell_m, top[band], cover[band])
+        _step(top[band])
     inner = tuple(_inhabited(np.atleast_1d(cover.any(axis=axis))) for axis in (1, 0))
     west, north = west + inner[1].start * cell_m, north - inner[0].start * cell_m
-    return Canopy(west, north, cell_m, _stepped(top[inner]), _stepped(base[inner]), cover[inner])
+    return Canopy(west, north, cell_m, top[inner], cover[inner])
 
 
 def _grid(city: City, cell_m: float) -> tuple[float, float, int, int]:
@@ -103,18 +97,21 @@ def _inhabited(there: NDArray[np.bool_]) -> slice:
     return slice(max(found[0] - 1, 0), found[-1] + 2) if len(found) else slice(0, 1)
 
 
-def _stepped(height_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return heights in whole centimetres, which a file packs well."""
+def _step(height_m: NDArray[np.float32]) -> None:
+    """Round heights to whole centimetres, which a file packs well."""
     step = np.float32(HEIGHT_STEP_M)
-    return np.asarray(np.rint(height_m / step) * step, np.float32)
+    height_m /= step
+    np.rint(height_m, out=height_m)
+    height_m *= step
 
 
 def _press(
     city: City, cell_m: float, west: float, north: float,
-    top: NDArray[np.float32], base: NDArray[np.float32], parts: NDArray[np.uint64],
+    top: NDArray[np.float32], cover: NDArray[np.uint8],
 ) -> None:  # fmt: skip
     """Press what reaches into a band onto it."""
     plants = city.plants
+    parts = np.zeros(top.shape, np.uint64)
     reach = _reach_m(city)
     furthest = _furthest_m(city) + cell_m
     south = north - len(top) * cell_m
@@ -130,8 +127,9 @@ def _press(
         stamp_twigs(
             first, points, shape[span] - start, plants.xy_m[rows, 0] - west, north - plants.xy_m[rows, 1],
             plants.yaw_rad[rows], np.where(plants.mirror[rows], -1.0, 1.0), plants.scale[rows], reach[rows],
-            cell_m, top, base, parts,
+            cell_m, top, parts,
         )  # fmt: skip
+    share_covered(parts, cover)
 
 
 def _furthest_m(city: City) -> NDArray[np.float64]:

@@ -7,10 +7,11 @@ from numba import njit
 
 SHIFT = 3
 SUB = 1 << SHIFT  # cells are split into this many parts each way, one bit of 64 a part
+PERCENT = 100.0
 
 
 @njit(cache=True, nogil=True)
-def stamp_twigs(first, twig_xyz, shape, east, south, turn, flip, scale, reach, cell, top, base, parts):
+def stamp_twigs(first, twig_xyz, shape, east, south, turn, flip, scale, reach, cell, top, parts):
     """Press the twigs of plants onto a grid.
 
     Parameters
@@ -29,8 +30,8 @@ def stamp_twigs(first, twig_xyz, shape, east, south, turn, flip, scale, reach, c
         (n,) metres about a twig that its leaves cover.
     cell
         Side of a cell in metres.
-    top, base
-        (rows, cols) float32: highest and lowest twig of each cell; changed.
+    top
+        (rows, cols) float32: highest twig of each cell; changed.
     parts
         (rows, cols) uint64: which parts of each cell are covered; changed.
     """
@@ -47,7 +48,7 @@ def stamp_twigs(first, twig_xyz, shape, east, south, turn, flip, scale, reach, c
             py = (south[p] - scale[p] * (sin * x + cos * y)) / step
             row, col = int(np.floor(py)), int(np.floor(px))
             if 0 <= row < rows * SUB and 0 <= col < cols * SUB:
-                _cover(row, col, col, z, top, base, parts)
+                _cover(row, col, col, z, top, parts)
             for row in range(
                 max(int(np.ceil(py - radius - 0.5)), 0), min(int(np.floor(py + radius + 0.5)), rows * SUB)
             ):
@@ -56,11 +57,11 @@ def stamp_twigs(first, twig_xyz, shape, east, south, turn, flip, scale, reach, c
                 low = max(int(np.ceil(px - half - 0.5)), 0)
                 high = min(int(np.floor(px + half - 0.5)), cols * SUB - 1)
                 if low <= high:
-                    _cover(row, low, high, z, top, base, parts)
+                    _cover(row, low, high, z, top, parts)
 
 
 @njit(cache=True, nogil=True)
-def _cover(row, low, high, z, top, base, parts):
+def _cover(row, low, high, z, top, parts):
     """Cover a run of parts of a row, both ends included."""
     r = row >> SHIFT
     line = np.uint64((row & (SUB - 1)) << SHIFT)
@@ -71,15 +72,12 @@ def _cover(row, low, high, z, top, base, parts):
         parts[r, c] |= run << line
         if z > top[r, c]:
             top[r, c] = z
-        if z < base[r, c]:
-            base[r, c] = z
 
 
 @njit(cache=True, nogil=True)
-def count_parts(parts):
-    """Return (rows, cols) uint8: how many parts of each cell are covered."""
+def share_covered(parts, percent):
+    """Set (rows, cols) uint8: how much of each cell is covered, at least 1 where anything is."""
     rows, cols = parts.shape
-    count = np.empty((rows, cols), np.uint8)
     for r in range(rows):
         for c in range(cols):
             bits = parts[r, c]
@@ -87,5 +85,5 @@ def count_parts(parts):
             while bits:
                 bits &= bits - np.uint64(1)
                 found += 1
-            count[r, c] = found
-    return count
+            share = np.uint8(np.rint(found * (PERCENT / SUB**2)))
+            percent[r, c] = max(share, np.uint8(found > 0))

@@ -37,7 +37,6 @@ PLATE = Material("plate", rgb=linear_rgb("#cdc9bc"), roughness=1.0)
 PLATE_CELL_M = 2000.0
 MARGIN_M = 60.0
 AREA_MIN_M2 = 1e-6
-NARROWEST_M2 = 1e-10  # triangles of less are slivers that cover nothing
 
 
 def build_ground(city: City) -> list[Piece]:

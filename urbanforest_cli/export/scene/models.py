@@ -45,11 +45,6 @@ class Shapes:
     materials: list[Material]
     models: list[Model]
 
-    @property
-    def triangle_count(self) -> int:
-        """How many triangles the models have together."""
-        return sum(len(part.mesh.triangle) for model in self.models for part in model.parts)
-
 
 def build_shapes(city: City, prototypes: Prototypes, *, detail: str, season: Season) -> Shapes:
     """Turn the skeletons that a scene needs into models.
@@ -174,7 +169,10 @@ def properties_of(city: City) -> dict[str, Property]:
         "plant_id": Property(plants.plant_id, "text", "plant of the register"),
         "lot_id": Property(plants.lot_id, "text", "lot it stands on"),
         "species": Property(
-            species.astype(np.uint8), "enum", "species identifier", tuple(city.species[row].id for row in used)
+            species.astype(np.min_scalar_type(max(len(used) - 1, 0))),
+            "enum",
+            "species identifier",
+            tuple(city.species[row].id for row in used),
         ),
         "habit": Property(np.where(trees[plants.species], 0, 1).astype(np.uint8), "enum", "tree or shrub", HABITS),
     }

@@ -10,7 +10,7 @@ with four details the second finest serves from 150 to 300 m, the next to 600 m,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -41,12 +41,7 @@ HASH_SHIFT = np.uint64(29)
 DEEPEST = CODE_LEVELS_MAX - 1
 
 
-ModelsOf = Callable[[str, NDArray[np.int64]], Sequence[Model]]
-
-
-def tile_scene(
-    sceneries: Mapping[str, Scenery], *, ground_height_m: float = 0.0, models_of: ModelsOf | None = None
-) -> TiledScene:
+def tile_scene(sceneries: Mapping[str, Scenery], *, ground_height_m: float = 0.0) -> TiledScene:
     """Lay a scene on the Earth and cut it into tiles.
 
     Parameters
@@ -58,8 +53,6 @@ def tile_scene(
         of them where their detail is shown.
     ground_height_m
         Height of the scene's ground above the ellipsoid of WGS 84.
-    models_of
-        Gives models of a detail by number where they are too many to be held at once; such a scenery lists none.
     """
     finest = list(sceneries.values())[-1]
     origin = finest.origin
@@ -75,11 +68,8 @@ def tile_scene(
     reach_m = max(_reach_m(scenery) for scenery in solid.values())
 
     def both_ways(detail: str, numbers: NDArray[np.int64]) -> Sequence[Model]:
-        grown = np.unique(numbers // 2)
-        whole = solid[detail].models
-        models = [whole[number] for number in grown] if models_of is None or whole else models_of(detail, grown)
-        of_grown = dict(zip(grown.tolist(), models, strict=True))
-        return [_mirrored(of_grown[n // 2]) if n % 2 else of_grown[n // 2] for n in numbers.tolist()]
+        grown = solid[detail].models
+        return [_mirrored(grown[n // 2]) if n % 2 else grown[n // 2] for n in numbers.tolist()]
 
     return TiledScene(
         origin=origin,
