@@ -64,6 +64,10 @@ def test_a_register_that_has_not_grown_names_the_command(runner, tiny_city, tmp_
         (("--size", "99999x100"), "64 to 16384"),
         (("--sun", "north"), "AZIMUTH,ELEVATION"),
         (("--sun", "200,-3"), "elevation 5 to 90"),
+        (("--size", "16384x16384"), "too large"),
+        (("-o", "view.jpg"), "end in .png"),
+        (("--top", "--street"), "name one"),
+        (("--perspective", "--top"), "name one"),
         (("--season", "monsoon"), "autumn"),
     ],
 )
@@ -75,4 +79,5 @@ def test_what_cannot_be_meant_is_told(runner, tmp_path, arguments, told):
 
 def test_help_tells_of_every_kind(runner):
     text = runner("render", "--help").stdout
+    assert "5 to 90" in " ".join(text.split())
     assert all(word in text for word in ("--top", "--street", "--perspective", "--bbox", "--sun", "--season"))

@@ -1,5 +1,7 @@
 """Pictures of whole cities: what stands where, seen from where, and in what light."""
 
+import itertools
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +9,11 @@ import pytest
 import shapely
 
 from tests.reference.planted import planted_city
-from urbanforest_cli.core.errors import InputError
+from urbanforest_cli.core.errors import InputError, LimitError
+from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.skeleton import select
 from urbanforest_cli.export.plant_camera import Camera, view_from
-from urbanforest_cli.export.plant_looks import look_of
+from urbanforest_cli.export.plant_looks import LOOKS, look_of
 from urbanforest_cli.export.view import draw
 from urbanforest_cli.export.view.draw import blank_canvas, view_of
 from urbanforest_cli.export.view.draw_kernel import LAWN, LEAF, WALL, draw_plants
@@ -122,6 +125,90 @@ def test_bands_and_batches_leave_no_trace(city, monkeypatch):
     monkeypatch.setattr(draw, "BATCH", 3)
     monkeypatch.setattr(draw, "READ", 3)
     assert np.abs(whole.astype(int) - draw_view(town, looks_of(town), size_px=SIZE)).max() <= 1
+
+
+def test_strips_leave_no_trace(city, monkeypatch):
+    town = with_town(city)
+    whole = draw_view(town, looks_of(town), size_px=SIZE).astype(int)
+    monkeypatch.setattr(draw, "STRIP_PX", 4 * SIZE[0] * SIZE[1] // 7)
+    assert len(draw.strips_of((2 * SIZE[0], 2 * SIZE[1]), 2)) >= 7
+    apart = np.abs(whole - draw_view(town, looks_of(town), size_px=SIZE)).max(axis=2)
+    assert (apart > 1).mean() < 0.001  # depths are rounded otherwise
+
+
+def test_strips_are_whole_pixels_and_no_larger_than_told():
+    for size in ((3200, 2000), (16384, 16384), (400, 30002), (8, 2)):
+        strips = draw.strips_of(size, 2)
+        assert strips[0][0] == 0
+        assert strips[-1][1] == size[1]
+        assert all(a[1] == b[0] for a, b in itertools.pairwise(strips))
+        assert all((bottom - top) % 2 == 0 for top, bottom in strips)
+        assert max(bottom - top for top, bottom in strips) * size[0] <= 1.1 * draw.STRIP_PX + 2 * size[0]
+
+
+def test_more_pixels_than_memory_holds_are_refused(city):
+    with pytest.raises(LimitError, match="--bbox"):
+        draw_view(city, looks_of(city), size_px=(8193, 8192))
+
+
+def test_who_stops_a_picture_leaves_no_thread_at_work(city):
+    def stop(task, done, total):
+        raise KeyboardInterrupt
+
+    before = threading.active_count()
+    with pytest.raises(KeyboardInterrupt):
+        draw_view(city, looks_of(city), size_px=SIZE, workers=3, progress=stop)
+    assert threading.active_count() == before
+
+
+def test_how_far_a_picture_is_is_told_to_its_end(city):
+    told = []
+    draw_view(city, looks_of(city), size_px=SIZE, progress=lambda *report: told.append(report))
+    for task in ("draw plants", "light the picture"):
+        steps = [(done, total) for name, done, total in told if name == task]
+        assert steps == sorted(steps)
+        assert steps[-1][0] == steps[-1][1] > 0
+    assert told[-1] == ("light the picture", SIZE[1], SIZE[1])
+
+
+def test_a_street_view_without_a_road_is_counted(city):
+    notices = Notices()
+    draw_view(with_town(city), looks_of(city), size_px=SIZE, notices=notices)
+    assert not len(notices)
+    draw_view(replace(city, roads=np.zeros(0, dtype=object)), looks_of(city), kind="street", size_px=SIZE,
+              notices=notices)  # fmt: skip
+    assert notices.count("W_NO_ROAD") == 1
+
+
+def test_shadows_have_smooth_edges_without_grain(city):
+    alone = with_plants(city, [[0.0, 30.0]])
+    house = shapely.box(*(np.array([12, -30, 24, -20]) + np.tile([city.origin.easting_m, city.origin.northing_m], 2)))
+    alone = replace(alone, buildings=np.array([house], dtype=object), building_height_m=np.array([9.0]),
+                    building_id=np.array(["h"], dtype=object))  # fmt: skip
+    box = (-30.0, -40.0, 60.0, 16.25)
+    camera = choose_shot(alone, kind="top", size_px=SIZE, bounds_m=box).camera
+    image = draw_view(alone, looks_of(alone), kind="top", size_px=SIZE, bounds_m=box, sun=(270.0, 45.0),
+                      scale_bar=False).astype(int)  # fmt: skip
+    left, right = (int(camera.seen(np.array([[x, -25.0, 0.0]]))[0, 0]) for x in (26.0, 45.0))
+    row = int(camera.seen(np.array([[26.0, -25.0, 0.0]]))[0, 1])
+    tones = image[row - 3 : row + 4, left:right, 1]
+    assert np.ptp(tones) > 40  # the shadow's end is in it
+    assert (np.diff(tones, axis=1) >= -1).all()
+    deep = tones[:, tones.max(axis=0) < tones.min() + 30]
+    assert deep.shape[1] > 10
+    assert np.abs(np.diff(deep, axis=0)).max() <= 2
+
+
+def test_leaves_near_the_viewer_have_the_size_of_the_species(city):
+    camera = Camera((0.0, 0.0, 1.7), 0.0, 0.0, 1600 / 2 / np.tan(np.radians(31.0)), (1600, 1000), (800, 640), True)
+    need = draw.px_per_m(camera.enlarged(2), np.array([[0.0, 25.0, 0.0]]), np.array([12.0]), np.array([0.0]))
+    skeletons = city.skeletons_of(city.plants.skeleton_id[:1])
+    for look in LOOKS.values():
+        models = build_models(skeletons, skeletons.seasons, [look], shortest_m=draw.SHORTEST_LEAF_PX / need,
+                              thinnest_m=np.zeros(1))  # fmt: skip
+        long = 2 * np.linalg.norm(models.leaf[:, 3:6].astype(float), axis=1)
+        assert 0.79 * look.blade_m[0] < long.min()
+        assert long.max() < 1.21 * look.blade_m[0]
 
 
 def silhouette(skeletons, camera, **placed):

@@ -50,6 +50,31 @@ def test_without_roads_a_place_before_the_trees_is_found(avenue):
     assert camera.eye_m[2] == EYE_M
 
 
+def test_without_roads_trees_are_in_sight_and_none_in_the_way(avenue):
+    shot = in_street(replace(avenue, roads=np.zeros(0, dtype=object)), size_px=SIZE, sun=None)
+    assert not shot.on_road
+    assert in_street(avenue, size_px=SIZE, sun=None).on_road
+    seen = shot.camera.seen(avenue.local(avenue.plants.xy_m))
+    in_sight = (seen[:, 2] > 3) & (seen[:, 2] < 60) & (seen[:, 0] > 0) & (seen[:, 0] < SIZE[0])
+    assert in_sight.sum() >= 5
+
+
+@pytest.mark.parametrize("box", [(400, 400, 480, 480), (0, -20, 200, 20), (0, -15, 60, 220)])
+@pytest.mark.parametrize("size", [SIZE, (200, 320)])
+def test_a_box_fills_most_of_the_view_from_the_air_and_is_whole(avenue, box, size):
+    west, south, east, north = box
+    for sun in (None, (250.0, 12.0)):
+        camera = aerial(avenue, size_px=size, sun=sun, bounds=np.array(box, float)).camera
+        corners = np.array([[x, y, 0.0] for x, y in ((west, south), (east, south), (east, north), (west, north))])
+        seen = camera.seen(corners)
+        assert (seen[:, 2] > 0).all()
+        assert (seen[:, :2] >= 0).all()
+        assert (seen[:, :2] <= np.array(size)).all()
+        span = np.ptp(seen[:, :2], axis=0) / np.array(size)
+        assert span.max() > 0.8  # with the crowns on its far side it just fits
+        assert camera.eye_m[2] > 5.0
+
+
 def test_from_above_all_plants_are_inside_and_north_is_up(avenue):
     camera = from_above(avenue, size_px=SIZE, sun=None).camera
     seen = camera.seen(avenue.local(avenue.plants.xy_m))

@@ -101,3 +101,32 @@ def scatter_leaves(base, tip, outward, count, key, blade_m, spray_m, droop):
             twig[filled] = n
             filled += 1
     return twig, centre, along, across, tone
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def colour_leaves(twig, plant, tone, of_twig, old, young, petal, flowering):
+    """Return (k, 3) linear colours of leaves: those of a twig resemble one another; some give way to petals.
+
+    Parameters
+    ----------
+    twig, tone
+        (k,) from `scatter_leaves`.
+    plant, of_twig
+        (n,) whose twig it is, and a number by chance from 0 to 1.
+    old, young, petal
+        (s, 3) linear colours of each plant.
+    flowering
+        (s,) leaves with a lower number than this are petals.
+    """
+    rgb = np.empty((len(twig), 3), np.float32)
+    for k in range(len(twig)):
+        here, whose = of_twig[twig[k]], plant[twig[k]]
+        t = float(tone[k])
+        if 0.5 * t + 0.5 * ((here * 7.0) % 1.0) < flowering[whose]:
+            for c in range(3):
+                rgb[k, c] = petal[whose, c] * (0.8 + 0.3 * t)
+            continue
+        share = min(max(0.55 * here + 0.45 * t, 0.0), 1.0)
+        for c in range(3):
+            rgb[k, c] = (old[whose, c] + (young[whose, c] - old[whose, c]) * share) * (0.82 + 0.36 * t)
+    return rgb

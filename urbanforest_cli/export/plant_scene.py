@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from urbanforest_cli.core.skeleton import Skeletons, pipe_count, standing
-from urbanforest_cli.export.plant_light_kernel import scatter_leaves
+from urbanforest_cli.export.plant_light_kernel import colour_leaves, scatter_leaves
 
 FloatArray = NDArray[np.floating]
 Rgb = tuple[float, float, float]
@@ -222,17 +222,12 @@ def build_leaves(twigs: Twigs, looks: Sequence[Look], *, shortest_m: float | Flo
         twigs.base, twigs.tip, twigs.outward, count, twigs.key, blade[twigs.plant], spray[twigs.plant],
         droop[twigs.plant],
     )  # fmt: skip
-    plant = twigs.plant[twig]
-    old = linear(np.array([look.leaf for look in looks]).reshape(-1, 3))[plant]
-    young = linear(np.array([look.leaf_young for look in looks]).reshape(-1, 3))[plant]
-    of_twig = chance[twig]  # leaves of a twig resemble one another
-    share = np.clip(0.55 * of_twig + 0.45 * tone, 0, 1)[:, None]
-    rgb = (old + (young - old) * share) * (0.82 + 0.36 * tone)[:, None]
+    old, young = (linear(np.array(colours).reshape(-1, 3)) for colours in
+                  ([look.leaf for look in looks], [look.leaf_young for look in looks]))  # fmt: skip
     flowers = np.array([look.blossom_fraction if look.blossom else 0.0 for look in looks])
     petal = linear(np.array([look.blossom or (0.0, 0.0, 0.0) for look in looks]).reshape(-1, 3))
-    in_bloom = (0.5 * tone + 0.5 * ((of_twig * 7.0) % 1.0)) < _quantile_of_mean(flowers[plant])
-    rgb[in_bloom] = petal[plant[in_bloom]] * (0.8 + 0.3 * tone[in_bloom])[:, None]
-    return Leaves(twig, centre, along, across, rgb, blade_area[plant])
+    rgb = colour_leaves(twig, twigs.plant, tone, chance, old, young, petal, _quantile_of_mean(flowers))
+    return Leaves(twig, centre, along, across, rgb, blade_area[twigs.plant[twig]])
 
 
 def build_twiglets(twigs: Twigs, looks: Sequence[Look]) -> Wood:

@@ -6,13 +6,24 @@ import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from urbanforest_cli.core.errors import InputError
+from urbanforest_cli.core.errors import InputError, UrbanForestError
 from urbanforest_cli.files import skeletons
 from urbanforest_cli.files.geopackage import layer_names, refuse_foreign
 from urbanforest_cli.files.manifest import MANIFEST, manifest_faults, read_manifest
 from urbanforest_cli.files.provenance import read_records
 from urbanforest_cli.files.skeleton_parts import named_parts, parts_folder
 from urbanforest_cli.files.words import in_words, kind_of
+
+
+def is_output(path: Path, form: str, out: Path) -> bool:
+    """Tell whether a file is what an earlier run wrote in a format, by the manifest of `out` or by its own word."""
+    named = read_manifest(out).get(path.name) if path.parent.resolve() == out.resolve() else None
+    if named is not None:
+        return named.format == form
+    try:
+        return describe_output(path).get("format") == form
+    except UrbanForestError:
+        return False
 
 
 def describe_output(path: Path) -> dict[str, object]:

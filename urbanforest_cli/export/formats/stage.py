@@ -12,7 +12,7 @@ from typing import Any
 
 from urbanforest_cli.core.boxes import Bounds
 from urbanforest_cli.core.config import Config
-from urbanforest_cli.core.errors import InputError, OutputExistsError, UrbanForestError
+from urbanforest_cli.core.errors import InputError, OutputExistsError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.scenery import Scenery
@@ -41,7 +41,7 @@ from urbanforest_cli.export.stage import (
 from urbanforest_cli.export.view.stage import view_city
 from urbanforest_cli.files.canopy import write_canopy
 from urbanforest_cli.files.cityjson import write_cityjson
-from urbanforest_cli.files.describe import describe_output
+from urbanforest_cli.files.describe import is_output
 from urbanforest_cli.files.geopackage import read_layer
 from urbanforest_cli.files.gltf import write_glb
 from urbanforest_cli.files.itree import write_itree
@@ -506,21 +506,9 @@ def _refuse_foreign_output(target: Path, name: str, register: Path) -> None:
                 expected=f"an empty folder, or an earlier output with {form.holds[0]}",
                 next_step="name another with -o",
             )
-    elif not _is_output(target, name, register):
+    elif not is_output(target, name, register.parent):
         raise OutputExistsError(
             "the file is no earlier output of this format, and would be lost",
             where=target,
             next_step="name another with -o, or remove it first",
         )
-
-
-def _is_output(target: Path, name: str, register: Path) -> bool:
-    """Tell whether a file is what an earlier run wrote in a format, by the manifest or by its own word."""
-    if target.parent.resolve() == register.parent.resolve() and target.name in (
-        known := read_manifest(register.parent)
-    ):
-        return known[target.name].format == name
-    try:
-        return describe_output(target).get("format") == name
-    except UrbanForestError:
-        return False

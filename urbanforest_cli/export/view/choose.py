@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -29,11 +29,18 @@ PLACES_MAX = 24
 CELL_M = 20.0  # of the grid in which the most interesting part is sought
 EYE_M, STREET_FIELD_DEG = 1.7, 62.0
 STREET_SUN_SIDE_DEG, STREET_SUN_ELEVATION_DEG = 100.0, 42.0
-BACK_M = 25.0  # where there are no roads, the viewer stands so far south of the plants
+BACK_M = 25.0  # where there are no roads, the viewer stands so far before the trees
 SIGHT_M = 75.0  # so far the road goes on straight
 TREE_M = 5.0  # lower plants are no trees of an avenue
 ROAD_CELL_M, ROAD_HALF_M = 2.0, 1.5
 PLACES_TRIED, TURNS, STANDS_TRIED = 4000, 36, 1500
+GROVE_M = 60.0  # width of the part with many trees that is looked at where there are no roads
+BOX_FIELD_DEG = 36.0  # of the wider side; a narrower lens keeps near and far edges of a box more alike
+BOX_PITCHES_DEG = [float(pitch) for pitch in range(16, 51, 2)]
+BOX_STEEP_COST = 0.006  # share of the picture that a degree more of pitch must win
+BOX_SHARE = 0.97  # of the picture's width or height that a box takes
+BOX_DISTANCES = (0.3, 12.0)  # least and most, in the box's diagonals
+SUN_AHEAD_DEG = 60.0  # nearer to the sun's azimuth than this the viewer does not look
 
 
 @dataclass(frozen=True)
@@ -42,23 +49,23 @@ class Shot:
 
     camera: Camera
     weather: Weather
+    on_road: bool = True
 
 
 def aerial(city: City, *, size_px: tuple[int, int], sun: Sun | None, bounds: FloatArray | None = None) -> Shot:
     """Look obliquely down on the part of the city with the most trees between houses.
 
     Of many places and directions the one is taken whose picture shows the most crowns and houses and the least of what
-    lies outside of the city. Its far edge, or the horizon, lies near the upper edge of the picture.
+    lies outside of the city. Its far edge, or the horizon, lies near the upper edge of the picture. A box instead just
+    fills the picture.
     """
+    if bounds is not None:
+        return _over_box(city, bounds, size_px, sun)
     chart = chart_of(city)
     plants = city.local(city.plants.xy_m)[:, :2]
     low, high = _spread(plants)
-    if bounds is not None:
-        width = float(max(bounds[2:] - bounds[:2]))
-        places: list[FloatArray] = [(bounds[:2] + bounds[2:]) / 2]
-    else:
-        width = min(FOREGROUND_M, max(0.7 * float(max(high - low)), 40.0))
-        places = chart.best_places(width)
+    width = min(FOREGROUND_M, max(0.7 * float(max(high - low)), 40.0))
+    places = chart.best_places(width)
     turns = AZIMUTHS_DEG if sun is None else [(sun[0] + side) % 360.0 for side in (-SUN_SIDE_DEG, SUN_SIDE_DEG)]
     best, shot = -np.inf, None
     for place in places:
@@ -76,6 +83,65 @@ def aerial(city: City, *, size_px: tuple[int, int], sun: Sun | None, bounds: Flo
     weather = Weather(*place_of_sun, (float(middle[0]), float(middle[1])), SHARP_SHARE * width, 1.2 * away,
                       HAZE_SHARE * away)  # fmt: skip
     return Shot(camera, weather)
+
+
+def _over_box(city: City, bounds: FloatArray, size_px: tuple[int, int], sun: Sun | None) -> Shot:
+    """Look along a side of a box, from where it fills most of the picture with the most to be seen."""
+    chart = chart_of(city)
+    plants = city.local(city.plants.xy_m)[:, :2]
+    inside = ((plants >= bounds[:2]) & (plants <= bounds[2:])).all(axis=1)
+    high_m = float(np.percentile(city.plants.height_m[inside], 90)) if inside.any() else 0.0
+    turns = [turn for turn in (0.0, 90.0, 180.0, 270.0)
+             if sun is None or abs((turn - sun[0] + 180.0) % 360.0 - 180.0) > SUN_AHEAD_DEG]  # fmt: skip
+    best, found = -np.inf, None
+    for azimuth in turns:
+        for pitch in BOX_PITCHES_DEG:
+            camera, share = _camera_on_box(bounds, high_m, azimuth, pitch, size_px)
+            score = share - BOX_STEEP_COST * pitch + 0.5 * chart.worth(camera)
+            if score > best:
+                best, found = score, camera
+    assert found is not None  # of four sides two at least lie off the sun
+    turn = np.radians(found.azimuth_deg)
+    middle = (bounds[:2] + bounds[2:]) / 2
+    deep = float(np.abs((bounds[2:] - bounds[:2]) @ np.array([np.sin(turn), np.cos(turn)])))
+    away = float(np.hypot(*(middle - np.array(found.eye_m[:2])))) + deep / 2
+    sharp = min(1.1 * float(np.hypot(*(bounds[2:] - bounds[:2]))), SHARP_SHARE * FOREGROUND_M)
+    place_of_sun = sun or _sun_beside(found.azimuth_deg)
+    return Shot(found, Weather(*place_of_sun, (float(middle[0]), float(middle[1])), sharp, 1.2 * away,
+                               HAZE_SHARE * away))  # fmt: skip
+
+
+def _camera_on_box(
+    bounds: FloatArray, high_m: float, azimuth: float, pitch: float, size_px: tuple[int, int]
+) -> tuple[Camera, float]:  # fmt: skip
+    """Return the nearest camera that has a whole box in its picture, and the share that the box takes of it."""
+    west, south, east, north = bounds
+    ground = np.array([[west, south, 0.0], [east, south, 0.0], [east, north, 0.0], [west, north, 0.0]])
+    points = np.vstack((ground, ground + np.array([0.0, 0.0, high_m])))
+    middle = ground.mean(axis=0)
+    scale = max(size_px) / 2 / np.tan(np.radians(BOX_FIELD_DEG) / 2)
+    half = (size_px[0] / 2, size_px[1] / 2)
+
+    def at(distance: float) -> tuple[Camera, FloatArray]:
+        camera = Camera((0.0, 0.0, 0.0), azimuth, pitch, float(scale), size_px, half, True)
+        eye = middle + distance * camera.axes[2]
+        camera = replace(camera, eye_m=(float(eye[0]), float(eye[1]), float(eye[2])))
+        return camera, camera.seen(points)
+
+    diagonal = float(np.hypot(east - west, north - south))
+    near, far = (share * diagonal for share in BOX_DISTANCES)
+    for _ in range(40):
+        distance = (near + far) / 2
+        seen = at(distance)[1]
+        fits = seen[:, 2].min() > 0.05 * distance and bool(
+            (np.ptp(seen[:, :2], axis=0) <= BOX_SHARE * np.array(size_px)).all()
+        )
+        near, far = (near, distance) if fits else (distance, far)
+    camera, seen = at(far)
+    low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
+    moved = np.array(size_px) / 2 - (low + high) / 2
+    share = float(shapely.area(shapely.polygons(seen[:4, :2]))) / (size_px[0] * size_px[1])
+    return replace(camera, middle_px=(half[0] + float(moved[0]), half[1] + float(moved[1]))), share
 
 
 def _sun_beside(azimuth_deg: float) -> Sun:
@@ -201,16 +267,20 @@ def from_above(city: City, *, size_px: tuple[int, int], sun: Sun | None, bounds:
 
 
 def in_street(city: City, *, size_px: tuple[int, int], sun: Sun | None, bounds: FloatArray | None = None) -> Shot:
-    """Stand on the road with the most trees near and look along it."""
+    """Stand on the road with the most trees near and look along it; where there is none, beside trees and houses."""
     plants = city.local(city.plants.xy_m)[:, :2]
-    eye, azimuth = _stand(city, plants, bounds)
+    places, turns = _along_roads(city, bounds)
+    on_road = len(places) > 0
+    if not on_road:
+        places, turns = _beside_trees(city, plants, bounds)
+    eye, azimuth = _stand(city, plants, places, turns)
     sun = sun or _street_sun(azimuth)
     scale = size_px[0] / 2 / np.tan(np.radians(STREET_FIELD_DEG) / 2)
     camera = Camera((float(eye[0]), float(eye[1]), EYE_M), azimuth, 0.0, float(scale), size_px,
                     (size_px[0] / 2, size_px[1] * 0.64), True)  # fmt: skip
     turn = np.radians(azimuth)
     focus = eye + 40.0 * np.array([np.sin(turn), np.cos(turn)])
-    return Shot(camera, Weather(*sun, (float(focus[0]), float(focus[1])), 130.0, 60.0, 900.0))
+    return Shot(camera, Weather(*sun, (float(focus[0]), float(focus[1])), 130.0, 60.0, 900.0), on_road)
 
 
 def _street_sun(azimuth_deg: float) -> Sun:
@@ -219,14 +289,12 @@ def _street_sun(azimuth_deg: float) -> Sun:
     return min(sides, key=lambda side: abs(side - 180.0)), STREET_SUN_ELEVATION_DEG
 
 
-def _stand(city: City, plants: FloatArray, bounds: FloatArray | None) -> tuple[FloatArray, float]:
-    """Return where to stand and which way to look, the azimuth in degrees."""
-    places, turns = _along_roads(city, bounds)
+def _stand(
+    city: City, plants: FloatArray, places: FloatArray, turns: NDArray[np.float64]
+) -> tuple[FloatArray, float]:  # fmt: skip
+    """Return at which of some places to stand and which way to look, the azimuth in degrees."""
     trees = city.plants.height_m > TREE_M
     xy, high = (plants[trees], city.plants.height_m[trees]) if trees.any() else (plants, city.plants.height_m)
-    if not len(places):
-        middle = np.median(xy, axis=0)
-        return np.asarray(middle - np.array([0.0, BACK_M])), 0.0
     houses = city.local_shapes(city.buildings)
     middles, tree = shapely.get_coordinates(shapely.centroid(houses)).reshape(-1, 2), shapely.STRtree(houses)
     best, found = -np.inf, (places[0], float(np.degrees(turns[0])))
@@ -246,6 +314,21 @@ def _stand(city: City, plants: FloatArray, bounds: FloatArray | None) -> tuple[F
         if score > best and not len(tree.query(shapely.Point(*place).buffer(3.0), predicate="intersects")):
             best, found = score, (place, float(np.degrees(turn) % 360.0))
     return found
+
+
+def _beside_trees(
+    city: City, plants: FloatArray, bounds: FloatArray | None
+) -> tuple[FloatArray, NDArray[np.float64]]:  # fmt: skip
+    """Return (n, 2) places around the parts with the most trees and houses, and (n,) ways to look at them."""
+    middles = [place for place in chart_of(city).best_places(GROVE_M)
+               if bounds is None or bool(((place >= bounds[:2]) & (place <= bounds[2:])).all())]  # fmt: skip
+    if not middles:
+        held = np.ones(len(plants), bool) if bounds is None else (
+            ((plants >= bounds[:2]) & (plants <= bounds[2:])).all(axis=1))  # fmt: skip
+        middles = [np.median(plants[held] if held.any() else plants, axis=0)]
+    turns = np.tile(np.arange(TURNS) * 2 * np.pi / TURNS, len(middles))
+    back = BACK_M * np.column_stack((np.sin(turns), np.cos(turns)))
+    return np.repeat(np.array(middles), TURNS, axis=0) - back, turns
 
 
 def _along_roads(city: City, bounds: FloatArray | None) -> tuple[FloatArray, NDArray[np.float64]]:

@@ -38,6 +38,7 @@ class View(NamedTuple):
     scale: float  # pixels a metre, in perspective at 1 m
     middle: NDArray[np.float64]  # (2,) pixel that is looked straight at
     perspective: bool
+    top: int  # row of the whole picture that is the canvas's first
 
 
 class Models(NamedTuple):
@@ -49,6 +50,7 @@ class Models(NamedTuple):
     first_leaf: NDArray[np.int64]  # (s + 1,)
     leaf: NDArray[np.float32]  # (k, 9) middle, half a blade along, half a blade across
     leaf_rgb: NDArray[np.uint8]  # (k, 3)
+    longest: NDArray[np.float32]  # (s,) no leaf reaches farther from its middle
     leaf_area: NDArray[np.float32]  # (s,) square metres that each leaf stands for
     middle: NDArray[np.float32]  # (s, 3) of the crown
     reach: NDArray[np.float32]  # (s,) of the widest branch from the root's vertical
@@ -139,9 +141,10 @@ def draw_plants(canvas, view, models, instances, top, bottom):
         grow = instances.leaf_grow[n]
         tufted = min(models.merged[model] + 0.5 * (grow - 1.0), 1.0)
         middle = matrix @ models.middle[model].astype(np.float64)
+        longest = scale * models.longest[model]
         for s in range(first, first + instances.leaf_count[n]):
-            draw_leaf(canvas, view, matrix, origin, models.leaf[s], models.leaf_rgb[s], grow, tufted, middle, far_add,
-                      top, bottom)  # fmt: skip
+            draw_leaf(canvas, view, matrix, origin, models.leaf[s], longest, models.leaf_rgb[s], grow, tufted, middle,
+                      far_add, top, bottom)  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -188,7 +191,7 @@ def draw_branch(canvas, view, m, origin, size, branch, rgb, key, far_add, top, b
             depth = z0 + t * (z1 - z0)
             if depth >= canvas.depth[row, column]:
                 continue
-            if radius < 0.5 and chance(hash_pair(key, row * width + column)) > 2.0 * radius:
+            if radius < 0.5 and chance(hash_pair(key, (row + view.top) * width + column)) > 2.0 * radius:
                 continue
             streak = 1.08
             if radius > BARK_STREAK_PX:
@@ -201,18 +204,25 @@ def draw_branch(canvas, view, m, origin, size, branch, rgb, key, far_add, top, b
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def draw_leaf(canvas, view, m, origin, leaf, rgb, grow, tufted, middle, far_add, top, bottom):
-    """Draw a leaf as a pointed blade; its normal looks toward the viewer, or out of the crown where it is a tuft."""
+def draw_leaf(canvas, view, m, origin, leaf, longest, rgb, grow, tufted, middle, far_add, top, bottom):
+    """Draw a leaf as a pointed blade; its normal looks toward the viewer, or out of the crown where it is a tuft.
+
+    No leaf reaches farther than `longest` from its middle, in metres, before it is grown.
+    """
     width = canvas.depth.shape[1]
     a, b, c = float(leaf[0]), float(leaf[1]), float(leaf[2])
-    lx, ly, lz = (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c, m[1, 0] * a + m[1, 1] * b + m[1, 2] * c,
-                  m[2, 0] * a + m[2, 1] * b + m[2, 2] * c)  # fmt: skip
+    ly, lz = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c, m[2, 0] * a + m[2, 1] * b + m[2, 2] * c
     depth = far_add - lz - origin[2]
     if depth < NEAR_M:
         return
     scale = view.scale / depth if view.perspective else view.scale
-    x, y = view.middle[0] + (lx + origin[0]) * scale, view.middle[1] - (ly + origin[1]) * scale
     size = grow * scale
+    y = view.middle[1] - (ly + origin[1]) * scale
+    high = longest * size + 1.0
+    if y < top - high or y > bottom + high:
+        return
+    lx = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c
+    x = view.middle[0] + (lx + origin[0]) * scale
     a, b, c = float(leaf[3]), float(leaf[4]), float(leaf[5])
     a0, a1, a2 = (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c, m[1, 0] * a + m[1, 1] * b + m[1, 2] * c,
                   m[2, 0] * a + m[2, 1] * b + m[2, 2] * c)  # fmt: skip
@@ -240,11 +250,13 @@ def draw_leaf(canvas, view, m, origin, leaf, rgb, grow, tufted, middle, far_add,
         nx, ny, nz = nx + share * (ox / long - nx), ny + share * (oy / long - ny), nz + share * (oz / long - nz)
         long = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-9
         nx, ny, nz = nx / long, ny / long, nz / long
+    u0, u1, v0, v1 = u0 / area, u1 / area, v0 / area, v1 / area
     for row in range(upper, lower + 1):
+        py = row + 0.5 - y
         for column in range(left, right + 1):
-            px, py = column + 0.5 - x, row + 0.5 - y
-            s = (px * v1 - py * v0) / area
-            t = (py * u0 - px * u1) / area
+            px = column + 0.5 - x
+            s = px * v1 - py * v0
+            t = py * u0 - px * u1
             if abs(s) > 1.0 or abs(t) > 1.0 - 0.85 * s * s:
                 continue
             here = depth - grow * (s * a2 + t * b2)

@@ -13,21 +13,25 @@ from urbanforest_cli.export.text import round_length
 BAR_SHARE = 0.10  # of the picture's width
 LETTER_SHARE = 0.011  # height of letters, of the mean side
 MARGIN_SHARE = 0.028
+WHOLE_PX = 0.01  # so that rounding to inches and back takes no pixel
+LETTERS_BESIDE, LETTERS_ABOVE = 6.0, 8.0  # room that bar, arrow and text take, in heights of letters
 
 
 def with_scale(image: NDArray[np.uint8], px_per_m: float) -> NDArray[np.uint8]:
-    """Return a picture (h, w, 3) with a scale bar and a north arrow in its lower right corner."""
+    """Draw a scale bar and a north arrow in the lower right corner of a picture (h, w, 3), and return it."""
     height, width = image.shape[:2]
     side = (width + height) / 2
     letter, margin = max(LETTER_SHARE * side, 7.0), MARGIN_SHARE * side
-    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="none")
-    canvas = FigureCanvasAgg(figure)
-    page = figure.add_axes((0, 0, 1, 1))
-    page.set(xlim=(0, width), ylim=(height, 0))
-    page.axis("off")
     length_m = round_length(BAR_SHARE * width / px_per_m)
     right, y = width - margin, height - margin
     left, point = right - length_m * px_per_m, 72 / DPI
+    west, north = max(int(left - LETTERS_BESIDE * letter), 0), max(int(y - LETTERS_ABOVE * letter), 0)
+    wide, high = width - west + WHOLE_PX, height - north + WHOLE_PX
+    figure = Figure(figsize=(wide / DPI, high / DPI), dpi=DPI, facecolor="none")
+    canvas = FigureCanvasAgg(figure)
+    page = figure.add_axes((0, 0, 1, 1))
+    page.set(xlim=(west, width), ylim=(height, north))
+    page.axis("off")
     page.plot([left, left, right, right], [y - 0.5 * letter, y, y, y - 0.5 * letter], color=INK,
               linewidth=0.11 * letter * point, solid_joinstyle="miter", solid_capstyle="butt")  # fmt: skip
     page.text((left + right) / 2, y - 0.45 * letter, f"{length_m:g} m", fontsize=letter * point, color=INK,
@@ -41,6 +45,8 @@ def with_scale(image: NDArray[np.uint8], px_per_m: float) -> NDArray[np.uint8]:
               parse_math=False)  # fmt: skip
     canvas.draw()  # type: ignore[no-untyped-call]
     drawn = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-    drawn = drawn[:height, :width].astype(np.float64)
+    corner = image[north:, west:]
+    drawn = drawn[: height - north, : width - west].astype(np.float64)
     cover = drawn[..., 3:] / 255.0
-    return np.asarray(np.round(image * (1 - cover) + drawn[..., :3] * cover), dtype=np.uint8)
+    corner[...] = np.round(corner * (1 - cover) + drawn[..., :3] * cover)
+    return image

@@ -88,11 +88,17 @@ def build_ground(city: City) -> Surfaces:
 def _lot_colours(city: City) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     of_hex: dict[str, tuple[Rgb, int]] = {ZONE_COLOURS[zone]: look for zone, look in ZONE_GROUND.items()}
     looks = []
-    for number, colour in enumerate(city.lot_colour):
+    for number, colour in zip(_own_numbers(city.lots), city.lot_colour, strict=True):
         rgb, kind = of_hex.get(str(colour), _quiet(str(colour)))
         tone = 1.0 + LOT_TONE * (((number * 2654435761) % 1024) / 511.5 - 1.0)
         looks.append((tuple(min(part * tone, 1.0) for part in rgb), kind))
     return colour_bytes(np.array([rgb for rgb, _ in looks])), np.array([kind for _, kind in looks], np.uint8)
+
+
+def _own_numbers(lots: NDArray[np.object_]) -> list[int]:
+    """Return a number by chance for each lot, from where its middle lies: other lots and their order do not count."""
+    middle = np.nan_to_num(shapely.get_coordinates(shapely.centroid(lots)))
+    return [int(x) * 73856093 ^ int(y) * 19349663 for x, y in np.rint(10 * middle)]
 
 
 def _quiet(colour: str) -> tuple[Rgb, int]:

@@ -17,6 +17,7 @@ RING_CELLS = (250, 1000)  # least and most along a side of a map; between them i
 RING_CELLS_A_PX = 0.62
 SKY_CELLS_SHARE = 0.3  # of those of the sun's map
 LAYER_M, SKY_LAYER_M = 1.25, 1.5
+LAYER_CELLS, SKY_LAYER_CELLS = 0.6, 0.2  # layers are at least so many cells thick
 RING_COUNT, RING_STEP = 3, 4.0  # a ring is this many times as wide as the one in it
 SUN_HEIGHT_MIN = 0.25  # sine of the lowest sun; a lower one has no end of shade
 SUN_POWER, SKY_POWER, BOUNCE_POWER = 3.3, 0.84, 0.62
@@ -70,18 +71,20 @@ def light_of(weather: Weather, camera: Camera) -> Light:
 def rings_for(city: City, camera: Camera, weather: Weather, rows: NDArray[np.int64]) -> tuple[Ring, ...]:
     """Lay out maps of shade around the focus, each wider than the one in it, until the city is covered."""
     plants = city.plants.take(rows)
-    highest = max(float(plants.height_m.max(initial=0.0)), float(np.max(city.building_height_m, initial=0.0)), 1.0) + 1
+    leafy = max(float(plants.height_m.max(initial=0.0)), 1.0) + 1
+    highest = max(leafy, float(np.max(city.building_height_m, initial=0.0)) + 1)
     slant = weather.sun[:2] / weather.sun[2]
     cells = int(np.clip(RING_CELLS_A_PX * max(camera.size_px), *RING_CELLS))
     rings, width = [], weather.sharp_m
     for _ in range(RING_COUNT):
-        rings.append(ring_over(np.array(weather.focus_m) - width / 2, width, highest, slant, cells=cells))
+        rings.append(ring_over(np.array(weather.focus_m) - width / 2, width, highest, slant, cells=cells,
+                              leafy_m=leafy))  # fmt: skip
         width *= RING_STEP
     return tuple(rings)
 
 
 def ring_over(
-    low: FloatArray, width_m: float, highest_m: float, slant: FloatArray, *, cells: int
+    low: FloatArray, width_m: float, highest_m: float, slant: FloatArray, *, cells: int, leafy_m: float | None = None,
 ) -> Ring:  # fmt: skip
     """Return empty maps over a square.
 
@@ -93,12 +96,17 @@ def ring_over(
         (2,) how far the sun's ray moves east and north a metre of height.
     cells
         Along a side of the sun's map.
+    leafy_m
+        Height of the highest plant; `highest_m` if None.
     """
     sky_cells = int(SKY_CELLS_SHARE * cells)
-    layers, sky_layers = int(np.ceil(highest_m / LAYER_M)), int(np.ceil(highest_m / SKY_LAYER_M)) + 1
+    layer = max(LAYER_M, LAYER_CELLS * width_m / cells)
+    sky_layer = max(SKY_LAYER_M, SKY_LAYER_CELLS * width_m / sky_cells)
+    layers = int(np.ceil((highest_m if leafy_m is None else leafy_m) / layer))
+    sky_layers = int(np.ceil(highest_m / sky_layer)) + 1
     return Ring(
-        np.asarray(low, np.float64), width_m / cells, LAYER_M, np.asarray(slant, np.float64),
+        np.asarray(low, np.float64), width_m / cells, layer, np.asarray(slant, np.float64),
         np.zeros((layers + 1, cells, cells), np.float32), np.zeros((cells, cells), np.float32), width_m / sky_cells,
-        SKY_LAYER_M, np.zeros((sky_layers, sky_cells, sky_cells), np.float32),
+        sky_layer, np.zeros((sky_layers, sky_cells, sky_cells), np.float32),
         np.zeros((sky_cells, sky_cells), np.float32), np.zeros((sky_layers, sky_cells, sky_cells), np.float32),
     )  # fmt: skip

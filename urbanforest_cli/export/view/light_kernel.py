@@ -226,18 +226,23 @@ def leaf_depth(ring, x, y, z):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def beside_houses(ring, x, y, z):
-    """Return the share of the sun that houses leave, soft over one cell."""
+    """Return the share of the sun that houses leave; its edge is soft, by a quadratic spline over three cells."""
     u = (x - z * ring.slant[0] - ring.low[0]) / ring.cell - 0.5
     v = (y - z * ring.slant[1] - ring.low[1]) / ring.cell - 0.5
-    i, j = int(np.floor(u)), int(np.floor(v))
-    if i < 0 or j < 0 or i >= ring.solid.shape[1] - 1 or j >= ring.solid.shape[0] - 1:
+    i, j = int(np.floor(u + 0.5)), int(np.floor(v + 0.5))
+    if i < 1 or j < 1 or i >= ring.solid.shape[1] - 1 or j >= ring.solid.shape[0] - 1:
         return 1.0
-    fu, fv = u - i, v - j
-    a = 1.0 if ring.solid[j, i] <= z else 0.0
-    b = 1.0 if ring.solid[j, i + 1] <= z else 0.0
-    c = 1.0 if ring.solid[j + 1, i] <= z else 0.0
-    d = 1.0 if ring.solid[j + 1, i + 1] <= z else 0.0
-    return (a * (1 - fu) + b * fu) * (1 - fv) + (c * (1 - fu) + d * fu) * fv
+    fu, fv = u - i, v - j  # from -0.5 to 0.5
+    along = (0.5 * (0.5 - fu) ** 2, 0.75 - fu * fu, 0.5 * (0.5 + fu) ** 2)
+    across = (0.5 * (0.5 - fv) ** 2, 0.75 - fv * fv, 0.5 * (0.5 + fv) ** 2)
+    lit, all_lit = 0.0, True
+    for q in range(3):
+        for p in range(3):
+            if ring.solid[j + q - 1, i + p - 1] <= z:
+                lit += across[q] * along[p]
+            else:
+                all_lit = False
+    return 1.0 if all_lit else lit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

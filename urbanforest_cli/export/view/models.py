@@ -19,6 +19,7 @@ from urbanforest_cli.export.plant_scene import (
     joined_wood,
 )
 from urbanforest_cli.export.view.draw_kernel import Instances, Models
+from urbanforest_cli.export.view.models_kernel import order_wood, shuffle_leaves
 
 LEAVES_MIN = 24  # of the smallest plant
 TUFT_BLADES = 5.0  # a leaf this many times as long as the species' is drawn as a tuft
@@ -48,39 +49,28 @@ def build_models(
         twiglets = build_twiglets(twigs, looks)
         wood_owner = np.concatenate((wood_owner, np.asarray(twiglets.plant)))
         wood = joined_wood([wood, twiglets])
-    thick = np.maximum(wood.start_radius, wood.end_radius)
-    reach = np.zeros(count)
-    top = np.zeros(count)
-    np.maximum.at(reach, wood_owner, np.hypot(wood.end[:, 0], wood.end[:, 1]) + thick)
-    np.maximum.at(top, wood_owner, wood.end[:, 2] + thick)
-    kept = np.flatnonzero(thick >= thinnest_m[wood_owner])
-    order = kept[np.argsort(_key(wood_owner[kept], ~thick[kept].astype(np.float32).view(np.uint32)), kind="stable")]
-    branches = np.column_stack((wood.start, wood.end, wood.start_radius, wood.end_radius))[order]
-    first_wood = np.searchsorted(wood_owner[order], np.arange(count + 1))
+    first_wood, branches, wood_rgb, reach, top = order_wood(
+        wood_owner, wood.start, wood.end, wood.start_radius, wood.end_radius, wood.rgb, thinnest_m, count
+    )
 
     blade = np.array([look.blade_m[0] for look in looks])
     merged = np.clip((shortest_m / blade - 1.0) / (TUFT_BLADES - 1.0), 0.0, 1.0)
     if leafy and len(twigs.tip):
         leaves = build_leaves(twigs, looks, shortest_m=shortest_m)
         leaf_owner = twigs.plant[leaves.twig]
-        shuffled = np.argsort(_key(leaf_owner, _shuffle(leaf_owner)), kind="stable")
-        leaf = np.hstack((leaves.centre, leaves.along, leaves.across))[shuffled].astype(np.float32)
-        rgb = _bytes_of(leaves.rgb[shuffled])
-        first_leaf = np.searchsorted(leaf_owner[shuffled], np.arange(count + 1))
+        first_leaf = np.searchsorted(leaf_owner, np.arange(count + 1))
+        leaf, rgb, blades, middle = shuffle_leaves(first_leaf, leaves.centre, leaves.along, leaves.across, leaves.rgb)
         area = np.zeros(count)
         area[leaf_owner] = leaves.area_m2
-        number = np.maximum(np.diff(first_leaf), 1)
-        middle = np.column_stack([np.bincount(leaf_owner, leaves.centre[:, c], minlength=count) / number
-                                  for c in range(3)])  # fmt: skip
         longest = 0.5 * np.maximum(blade, shortest_m) + np.array([look.spray_m for look in looks])
         reach, top = reach + longest, top + longest
     else:
         leaf, rgb = np.zeros((0, 9), np.float32), np.zeros((0, 3), np.uint8)
         first_leaf, area, middle = np.zeros(count + 1, np.int64), np.zeros(count), np.zeros((count, 3))
+        blades = np.zeros(count, np.float32)
     return Models(
-        first_wood.astype(np.int64), branches.astype(np.float32), _bytes_of(wood.rgb[order]),
-        first_leaf.astype(np.int64), leaf, rgb, area.astype(np.float32), middle.astype(np.float32),
-        reach.astype(np.float32), top.astype(np.float32), merged.astype(np.float32),
+        first_wood, branches, wood_rgb, first_leaf.astype(np.int64), leaf, rgb, blades, area.astype(np.float32),
+        middle.astype(np.float32), reach.astype(np.float32), top.astype(np.float32), merged.astype(np.float32),
     )  # fmt: skip
 
 
@@ -95,7 +85,7 @@ def model_of(wood: Wood) -> Models:
     none = np.zeros(1, np.float32)
     return Models(
         np.array([0, len(order)]), branches.astype(np.float32), _bytes_of(wood.rgb[order]), np.zeros(2, np.int64),
-        np.zeros((0, 9), np.float32), np.zeros((0, 3), np.uint8), none, np.zeros((1, 3), np.float32),
+        np.zeros((0, 9), np.float32), np.zeros((0, 3), np.uint8), none, none, np.zeros((1, 3), np.float32),
         np.array([reach], np.float32), np.array([top], np.float32), none,
     )  # fmt: skip
 
@@ -133,20 +123,6 @@ def place_models(
                          for m, thin in zip(model, thinnest_m, strict=True)], dtype=np.int64)  # fmt: skip
     return Instances(np.asarray(model, np.int64), np.asarray(place, np.float64), np.column_stack((np.cos(yaw),
                      np.sin(yaw))), size, sign, wood, drawn, np.sqrt(leaves / np.maximum(drawn, 1)))  # fmt: skip
-
-
-def _key(owner: NDArray[np.int64], then: NDArray[np.uint32]) -> NDArray[np.uint64]:
-    """Return numbers that are in order of owner first; those of thicker wood, of inverted bits, come before thinner."""
-    return (owner.astype(np.uint64) << np.uint64(32)) | then.astype(np.uint64)
-
-
-def _shuffle(owner: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """Return numbers in an order by chance, the same for a plant whatever the others; `owner` (n,) is sorted."""
-    place = np.arange(len(owner)) - np.searchsorted(owner, owner)
-    with np.errstate(over="ignore"):
-        bits = (place.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
-        bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        return np.asarray((bits ^ (bits >> np.uint64(27))) >> np.uint64(32), dtype=np.uint32)
 
 
 def _bytes_of(rgb: FloatArray) -> NDArray[np.uint8]:

@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from urbanforest_cli.core.errors import InputError
+from urbanforest_cli.core.errors import InputError, LimitError
+from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.export.plant_camera import Camera
 from urbanforest_cli.export.plant_looks import Season, in_season
@@ -23,6 +24,7 @@ from urbanforest_cli.export.view.ground import build_ground, build_houses, plain
 Kind = Literal["perspective", "street", "top"]
 KINDS: tuple[Kind, ...] = ("perspective", "street", "top")
 SIZE_PX = (1920, 1200)
+PIXELS_MAX = 8192 * 8192
 SUPERSAMPLING = 2
 EXPOSURE = 0.50
 KNEE = 0.62  # brighter light is pressed together
@@ -45,6 +47,7 @@ def draw_view(
     scale_bar: bool = True,
     workers: int = 1,
     progress: Progress = silent,
+    notices: Notices | None = None,
 ) -> NDArray[np.uint8]:
     """Draw a city.
 
@@ -58,11 +61,12 @@ def draw_view(
         Part of the city that the picture is of: west, south, east, north about the city's origin.
     sun
         Azimuth from north over east, and elevation above the horizon, in degrees; chosen to suit the view if None.
-
     season
         Leaves and flowers.
     scale_bar
         Whether "top" bears a scale bar and a north arrow.
+    notices
+        Counts a street view that is not on a road, for want of one.
 
     Returns
     -------
@@ -73,7 +77,10 @@ def draw_view(
     ------
     InputError
         There are no plants to be seen.
+    LimitError
+        The picture has more than `PIXELS_MAX` pixels.
     """
+    check_size(size_px)
     if not len(city.plants):
         raise InputError("no plant stands in the part of the city to be drawn", where="render",
                          next_step="name a box with plants in it, or grow the city first")  # fmt: skip
@@ -84,9 +91,30 @@ def draw_view(
     setting = Setting(rows, plain_ground(kind == "top"), build_ground(city), build_houses(city), shot.camera,
                       shot.weather, season != "winter")  # fmt: skip
     seen = [_calm(in_season(look, season)) for look in looks]
-    image = finished(draw_setting(city, seen, setting, supersampling=supersampling, workers=workers,
-                                  progress=progress))  # fmt: skip
+    if notices is not None and not shot.on_road:
+        notices.add("W_NO_ROAD", "street views beside trees, for there is no straight road to stand on", 1)
+    image = draw_setting(city, seen, setting, finished, supersampling=supersampling, workers=workers,
+                         progress=progress)  # fmt: skip
     return with_scale(image, shot.camera.scale_px) if kind == "top" and scale_bar else image
+
+
+def check_size(size_px: tuple[int, int]) -> None:
+    """Refuse a picture that would take more memory than a laptop has.
+
+    Raises
+    ------
+    LimitError
+        It has more than `PIXELS_MAX` pixels.
+    """
+    width, height = size_px
+    if width * height > PIXELS_MAX:
+        raise LimitError(
+            "the picture is too large",
+            where="--size",
+            found=f"{width}x{height}, {width * height:,} pixels",
+            expected=f"at most {PIXELS_MAX:,} pixels, such as 8192x8192",
+            next_step="draw parts of the city with --bbox, or a smaller picture",
+        )
 
 
 def _calm(look: Look) -> Look:

@@ -25,7 +25,9 @@ from urbanforest_cli.export.view.draw_kernel import (
 from urbanforest_cli.export.view.light_kernel import beside_houses, leaf_depth, open_sky, ring_at
 
 PLAIN_HAZE = 2.2  # the plain beyond the city fades so much faster than what stands on it
-NOISE_MIN_PX = 0.7  # grains smaller than this many pixels are not drawn
+NOISE_MIN_PX = 1.5  # grains smaller than this many pixels are not drawn
+SAME_DEPTH = 0.01  # places of a pixel that lie no farther apart than this share of their depth are lit as one,
+SAME_DEPTH_PX = 2.0  # without perspective, this many widths of the pixel
 
 
 class Light(NamedTuple):
@@ -75,27 +77,26 @@ def sky_at(light, dx, dy, dz):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def light_in(ring, light, kind, x, y, z, wx, wy, wz, facing, j0, j1, j2):
+def light_in(ring, light, kind, x, y, z, wx, wy, wz, facing, chance_here):
     """Return the shares of sun and sky at a place whose surface looks along (wx, wy, wz).
 
-    `facing` is the share of the normal toward the sun; `j0`, `j1`, `j2` are numbers by chance from -0.5 to 0.5 that
-    blur the edges of cells.
+    `facing` is the share of the normal toward the sun; by `chance_here`, from -0.5 to 0.5, leaves and twigs lie more or
+    less deep in the shade of those around them.
     """
     step, off = 0.1 + 0.8 * ring.cell, 0.04
     if kind == LEAF:
-        step, off = 0.9 + 0.8 * j2, 0.0
+        step, off = 0.9 + 0.8 * chance_here, 0.0
     elif kind == WOOD:
-        step, off = 0.7 + 0.4 * j2, 0.35
+        step, off = 0.7 + 0.4 * chance_here, 0.35
     elif kind in (WALL, GLASS, ROOF):  # so that a face does not shade itself
         off += 1.5 * ring.cell * (1.0 - facing)
     sunny = 1.0
     if facing > 0 or kind == LEAF:
         sx, sy, sz = x + light.sun[0] * step + wx * off, y + light.sun[1] * step + wy * off, (
             z + light.sun[2] * step + wz * off)  # fmt: skip
-        blur = 0.8 * ring.cell
-        sunny = beside_houses(ring, sx + blur * j0, sy + blur * j1, sz)
+        sunny = beside_houses(ring, sx, sy, sz)
         if sunny > 0:
-            sunny *= np.exp(-leaf_depth(ring, sx + 0.3 * blur * j0, sy + 0.3 * blur * j1, sz))
+            sunny *= np.exp(-leaf_depth(ring, sx, sy, sz))
     if kind in (LEAF, WOOD):
         return sunny, open_sky(ring, x, y, z + 0.3)
     lift = 0.6 * ring.sky_cell if abs(wz) > 0.5 else 1.1 * ring.sky_cell
@@ -112,12 +113,17 @@ def shade_rows(canvas, view, rings, light, factor, out, top, bottom):
     for out_row in range(top, bottom):
         for out_column in range(width):
             red, green, blue = 0.0, 0.0, 0.0
-            for sub in range(factor * factor):
+            count, aside = factor * factor, 0.5
+            depth = one_depth(canvas, view, out_row * factor, out_column * factor, factor)
+            if depth > 0:
+                count, aside = 1, 0.5 * factor
+            for sub in range(count):
                 row, column = out_row * factor + sub // factor, out_column * factor + sub % factor
-                depth = float(canvas.depth[row, column])
+                if count > 1:
+                    depth = float(canvas.depth[row, column])
                 kind = canvas.kind[row, column]
-                a = (column + 0.5 - view.middle[0]) / view.scale
-                b = (view.middle[1] - row - 0.5) / view.scale
+                a = (column + aside - view.middle[0]) / view.scale
+                b = (view.middle[1] - row - aside) / view.scale
                 # Direction of sight in the scene.
                 dx = view.axes[0, 0] * a + view.axes[1, 0] * b - view.axes[2, 0]
                 dy = view.axes[0, 1] * a + view.axes[1, 1] * b - view.axes[2, 1]
@@ -147,10 +153,9 @@ def shade_rows(canvas, view, rings, light, factor, out, top, bottom):
                 n2 = canvas.normal[row, column, 2] / 127.0
                 facing = n0 * light.sun_seen[0] + n1 * light.sun_seen[1] + n2 * light.sun_seen[2]
                 upward = n0 * up0 + n1 * up1 + n2 * up2
-                bits = hash_pair(row * wide + column, 11)
-                j0 = float(bits & np.uint64(0xFFFF)) / 65535.0 - 0.5
-                j1 = float((bits >> np.uint64(16)) & np.uint64(0xFFFF)) / 65535.0 - 0.5
-                j2 = float((bits >> np.uint64(32)) & np.uint64(0xFFFF)) / 65535.0 - 0.5
+                chance_here = 0.0
+                if kind in (LEAF, WOOD):
+                    chance_here = chance(hash_pair((row + view.top) * wide + column, 11)) - 0.5
                 # The normal in the scene moves the place off its own surface.
                 wx = view.axes[0, 0] * n0 + view.axes[1, 0] * n1 + view.axes[2, 0] * n2
                 wy = view.axes[0, 1] * n0 + view.axes[1, 1] * n1 + view.axes[2, 1] * n2
@@ -158,9 +163,9 @@ def shade_rows(canvas, view, rings, light, factor, out, top, bottom):
                 sunny, sky = 1.0, 1.0
                 which, seam = ring_at(rings, x, y, z)
                 if which < len(rings):
-                    sunny, sky = light_in(rings[which], light, kind, x, y, z, wx, wy, wz, facing, j0, j1, j2)
+                    sunny, sky = light_in(rings[which], light, kind, x, y, z, wx, wy, wz, facing, chance_here)
                     if seam > 0:
-                        more, above = light_in(rings[which + 1], light, kind, x, y, z, wx, wy, wz, facing, j0, j1, j2)
+                        more, above = light_in(rings[which + 1], light, kind, x, y, z, wx, wy, wz, facing, chance_here)
                         sunny, sky = sunny + seam * (more - sunny), sky + seam * (above - sky)
                 albedo_r = (canvas.rgb[row, column, 0] / 255.0) ** 2
                 albedo_g = (canvas.rgb[row, column, 1] / 255.0) ** 2
@@ -179,7 +184,7 @@ def shade_rows(canvas, view, rings, light, factor, out, top, bottom):
                     if kind == WOOD:
                         ambient = 0.8
                     if kind in (LAWN, GROUND, PAVING, ROAD, KERB):
-                        tone = ground_tone(kind, x, y, size)
+                        tone = ground_tone(kind, x, y, size * factor)
                         albedo_r, albedo_g, albedo_b = albedo_r * tone, albedo_g * tone, albedo_b * tone
                         ambient = 0.35 + 0.65 * ambient
                     if kind == GLASS:
@@ -209,10 +214,32 @@ def shade_rows(canvas, view, rings, light, factor, out, top, bottom):
                     hr, hg, hb = sky_at(light, dx / slope, dy / slope, 0.0)
                     r, g, bl = r + (hr - r) * veil, g + (hg - g) * veil, bl + (hb - bl) * veil
                 red, green, blue = red + r, green + g, blue + bl
-            count = factor * factor
             out[out_row, out_column, 0] = red / count
             out[out_row, out_column, 1] = green / count
             out[out_row, out_column, 2] = blue / count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def one_depth(canvas, view, top, left, factor):
+    """Return the depth of a pixel whose places all show one flat surface or the sky; 0 where they do not."""
+    kind = canvas.kind[top, left]
+    if kind in (LEAF, WOOD):
+        return 0.0
+    near, far, total = np.inf, 0.0, 0.0
+    for row in range(top, top + factor):
+        for column in range(left, left + factor):
+            if canvas.kind[row, column] != kind:
+                return 0.0
+            for c in range(3):
+                if (canvas.rgb[row, column, c] != canvas.rgb[top, left, c]
+                        or canvas.normal[row, column, c] != canvas.normal[top, left, c]):  # fmt: skip
+                    return 0.0
+            depth = float(canvas.depth[row, column])
+            near, far, total = min(near, depth), max(far, depth), total + depth
+    if kind == NOTHING:
+        return np.inf
+    most = SAME_DEPTH * near if view.perspective else SAME_DEPTH_PX * factor / view.scale
+    return total / (factor * factor) if far - near <= most else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

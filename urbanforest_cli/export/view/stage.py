@@ -29,12 +29,13 @@ from urbanforest_cli.export.scene.city import City
 from urbanforest_cli.export.scene.stage import read_city
 from urbanforest_cli.export.stage import provenance_of
 from urbanforest_cli.export.view.choose import Sun
-from urbanforest_cli.export.view.picture import Kind, draw_view
+from urbanforest_cli.export.view.picture import Kind, check_size, draw_view
+from urbanforest_cli.files.describe import is_output
 from urbanforest_cli.files.manifest import Export, describe_files, record_exports
 from urbanforest_cli.files.provenance import require_record, stage_key
 
 STAGE = "render"
-PNG_LEVEL = 9  # fixed, so that the same picture gives the same bytes
+PNG_LEVEL = 6  # fixed, so that the same picture gives the same bytes
 
 
 def view_city(
@@ -49,6 +50,7 @@ def view_city(
     bounds_m: tuple[float, float, float, float] | None = None,
     workers: int = 1,
     progress: Progress = silent,
+    notices: Notices | None = None,
 ) -> None:
     """Draw a city and publish the picture as PNG, with its provenance as JSON in the text chunk ``urbanforest``.
 
@@ -56,19 +58,21 @@ def view_city(
     ----------
     size_px
         Width and height.
-    season, kind, sun, bounds_m
+    season, kind, sun, bounds_m, notices
         As `draw_view` takes them.
 
     Raises
     ------
     InputError
         There are no plants to be seen.
+    LimitError
+        The picture is larger than `picture.PIXELS_MAX`.
     OutputError
         The file could not be written whole.
     """
     looks = [look_of(species) for species in city.species]
     image = draw_view(city, looks, kind=kind, size_px=size_px, bounds_m=bounds_m, sun=sun, season=season,
-                      workers=workers, progress=progress)  # fmt: skip
+                      workers=workers, progress=progress, notices=notices)  # fmt: skip
     with publish(path) as part:
         part.write_bytes(png_with(image, provenance))
 
@@ -113,14 +117,25 @@ def render_view(
         The register has not grown its plants; the text names the command.
     InputError
         No plant stands in the box, or none at all.
+    LimitError
+        The picture is larger than `picture.PIXELS_MAX`.
     OutputError
         The file could not be written whole.
     """
     started = time.perf_counter()
     if path.resolve() == register.resolve() or path.is_dir():
         raise OutputExistsError("the output is the register, or a folder", where=path, next_step="name a PNG with -o")
+    if path.exists() and not is_output(path, STAGE, register.parent):
+        raise OutputExistsError(
+            "the file is no earlier picture of this kind, and would be lost",
+            where=path,
+            next_step="name another with -o, or remove it first",
+        )
+    check_size(size_px)
     notices = Notices()
     city = read_city(register, config=config)
+    height = config.growth.building_height_m
+    notices.add("W_BUILDING_HEIGHT", f"buildings without a height, drawn {height:g} m high", city.unknown_height_count)
     growth = require_record(register, "grow").stage_key
     options = {"kind": kind, "size_px": list(size_px), "season": season,
                "sun_deg": list(sun) if sun is not None else None,
@@ -128,9 +143,9 @@ def render_view(
     key = stage_key(STAGE, config=config, seed=config.seed, inputs=[growth, json.dumps(options)],
                     sections=("species",))  # fmt: skip
     bounds = None if bbox is None else _local_bounds(city, bbox)
-    provenance = provenance_of(register, plants=len(city.plants), key=key) | options
+    provenance = provenance_of(register, plants=len(city.plants), key=key) | {"format": STAGE} | options
     view_city(city, path, size_px=size_px, season=season, provenance=provenance, kind=kind, sun=sun, bounds_m=bounds,
-              workers=workers, progress=progress)  # fmt: skip
+              workers=workers, progress=progress, notices=notices)  # fmt: skip
     if path.parent.resolve() == register.parent.resolve():
         record_exports(path.parent, [Export(path.name, STAGE, key, growth, options, describe_files(path))])
     counts: dict[str, int | float | str] = {"plants": len(city.plants), "width_px": size_px[0], "height_px": size_px[1]}
