@@ -39,6 +39,13 @@ def test_pictures_of_a_city_are_written_with_their_provenance(runner, planted):
     first = sha256_of(out / "top.png")
     runner("render", out, "--top", "--size", "160x100", "--workers", 1)
     assert sha256_of(out / "top.png") == first
+    own = out / "holiday.png"
+    Image.new("RGB", (8, 8)).save(own)
+    kept = own.read_bytes()
+    refused = runner("render", out, "--top", "--size", "160x100", "-o", own)
+    assert refused.exit_code == 2
+    assert "would be lost" in refused.stderr
+    assert own.read_bytes() == kept
     west, south = 400_000.0, 5_000_000.0
     beside = runner("render", out, "--bbox", west, south, west + 10, south + 10)
     assert beside.exit_code == 2

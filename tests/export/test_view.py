@@ -14,7 +14,7 @@ from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.skeleton import select
 from urbanforest_cli.export.plant_camera import Camera, view_from
 from urbanforest_cli.export.plant_looks import LOOKS, look_of
-from urbanforest_cli.export.view import draw
+from urbanforest_cli.export.view import draw, ground
 from urbanforest_cli.export.view.draw import blank_canvas, view_of
 from urbanforest_cli.export.view.draw_kernel import LAWN, LEAF, WALL, draw_plants
 from urbanforest_cli.export.view.faces_kernel import draw_faces, draw_plain
@@ -325,3 +325,13 @@ def test_a_city_without_plants_is_refused(city):
     empty = replace(city, plants=city.plants.take(np.zeros(0, dtype=int)))
     with pytest.raises(InputError, match="no plant stands"):
         draw_view(empty, looks_of(empty))
+
+
+def test_the_tone_of_a_lot_hangs_on_nothing_but_itself(city):
+    squares = shapely.box(100 * np.arange(6.0), 0, 100 * np.arange(6.0) + 80, 80)
+    colours = np.array(["#d8e6c8"] * 6, dtype=object)
+    tones, _ = ground._lot_colours(replace(city, lots=squares, lot_colour=colours))
+    order = np.array([4, 2, 0])
+    some, _ = ground._lot_colours(replace(city, lots=squares[order], lot_colour=colours[order]))
+    assert (some == tones[order]).all()
+    assert len(np.unique(tones, axis=0)) > 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
@@ -267,20 +267,22 @@ def refuse_foreign(path: Path, *, older_too: bool = True) -> None:
                 next_step="make a register with `urbanforest stencil CITY.gpkg -o REGISTER.gpkg`",
             ) from error
     versions = [version for _, version in rows]
-    if "stencil" not in {stage for stage, _ in rows}:
-        raise InputError(
-            "a city, not a register",
-            where=path,
-            found=f"a file made by {', '.join(sorted({stage for stage, _ in rows})) or 'no stage'}",
-            next_step=f"plant it with `urbanforest populate {path.name}`",
-        )
     if any(version > REGISTER_VERSION or (older_too and version < REGISTER_VERSION) for version in versions):
+        refuse_city(path, {stage for stage, _ in rows})
         raise SchemaError(
             "the register was written by another version",
             where=path,
             found=f"register version {max(versions)}",
             expected=f"register version {REGISTER_VERSION}",
             next_step="run `urbanforest populate` again, or use the version that wrote it",
+        )
+
+
+def refuse_city(path: Path, stages: Collection[str]) -> None:
+    """Refuse a made-up city where a register is wanted; it tells of its stage as a register does."""
+    if "synth" in stages and "stencil" not in stages:
+        raise InputError(
+            "a city, not a register", where=path, next_step=f"plant it with `urbanforest populate {path.name}`"
         )
 
 

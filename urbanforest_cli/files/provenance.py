@@ -16,7 +16,7 @@ from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.errors import SchemaError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.schema import REGISTER_VERSION
-from urbanforest_cli.files.geopackage import layer_names, read_layer, refuse_foreign, timestamp
+from urbanforest_cli.files.geopackage import layer_names, read_layer, refuse_city, refuse_foreign, timestamp
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,7 @@ def require_record(path: Path, stage: str) -> Record:
     refuse_foreign(path)
     records = read_records(path)
     if stage not in records:
+        refuse_city(path, records)
         raise SchemaError(
             f"stage {stage!r} has not run on this register", where=path, next_step=f"run `urbanforest {stage}` first"
         )
