@@ -166,6 +166,7 @@ def test_a_city_is_not_taken_for_a_register_of_another_version(runner):
     assert outcome.exit_code == 2
     assert "a city, not a register" in outcome.stderr
     assert "urbanforest populate" in outcome.stderr
+    assert runner("info", "data_samples/sample_city.gpkg").exit_code == 0
 
 
 def test_a_full_disk_is_told_as_such_and_leaves_the_old_raster(out, runner, monkeypatch):

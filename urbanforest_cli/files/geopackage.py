@@ -266,9 +266,9 @@ def refuse_foreign(path: Path, *, older_too: bool = True) -> None:
                 expected="a table 'provenance'",
                 next_step="make a register with `urbanforest stencil CITY.gpkg -o REGISTER.gpkg`",
             ) from error
-    versions = [version for _, version in rows]
+    stages = {stage for stage, _ in rows}
+    versions = [] if is_city(stages) else [version for _, version in rows]
     if any(version > REGISTER_VERSION or (older_too and version < REGISTER_VERSION) for version in versions):
-        refuse_city(path, {stage for stage, _ in rows})
         raise SchemaError(
             "the register was written by another version",
             where=path,
@@ -278,12 +278,9 @@ def refuse_foreign(path: Path, *, older_too: bool = True) -> None:
         )
 
 
-def refuse_city(path: Path, stages: Collection[str]) -> None:
-    """Refuse a made-up city where a register is wanted; it tells of its stage as a register does."""
-    if "synth" in stages and "stencil" not in stages:
-        raise InputError(
-            "a city, not a register", where=path, next_step=f"plant it with `urbanforest populate {path.name}`"
-        )
+def is_city(stages: Collection[str]) -> bool:
+    """Tell whether a file with records of these stages is a made-up city, which tells of itself as a register does."""
+    return "synth" in stages and "stencil" not in stages
 
 
 def _quoted(path: Path) -> str:

@@ -13,10 +13,10 @@ from pyproj import CRS
 
 from urbanforest_cli import __version__
 from urbanforest_cli.core.config import Config
-from urbanforest_cli.core.errors import SchemaError
+from urbanforest_cli.core.errors import InputError, SchemaError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.schema import REGISTER_VERSION
-from urbanforest_cli.files.geopackage import layer_names, read_layer, refuse_city, refuse_foreign, timestamp
+from urbanforest_cli.files.geopackage import is_city, layer_names, read_layer, refuse_foreign, timestamp
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,10 @@ def require_record(path: Path, stage: str) -> Record:
     refuse_foreign(path)
     records = read_records(path)
     if stage not in records:
-        refuse_city(path, records)
+        if is_city(records):
+            raise InputError(
+                "a city, not a register", where=path, next_step=f"plant it with `urbanforest populate {path.name}`"
+            )
         raise SchemaError(
             f"stage {stage!r} has not run on this register", where=path, next_step=f"run `urbanforest {stage}` first"
         )
