@@ -4,9 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 EXTRAS ?= test
 DEMO := demo-forest
+NAIP ?= $(URBANFOREST_REAL_DATA)/naip_california
+TRAIN = $(BIN)/urbanforest train-coverage "$(NAIP)" --hold-out 'eureka*' --hold-out 'bishop*'
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-all readers lint format bench check-growth figures sample clean
+.PHONY: help install install-train demo test test-all readers lint format bench check-growth train-coverage train-coverage-small \
+	figures sample clean
 
 help: ## list these targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
@@ -19,22 +22,30 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[$(EXTRAS)]'
 	@touch $@
 
+$(VENV)/.installed-train: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[$(EXTRAS),train]'
+	@touch $@
+
 install: $(VENV)/.installed ## make .venv and install the program into it
+
+install-train: $(VENV)/.installed-train ## add what training needs: torch and its company
 
 demo: install ## populate the sample city and show where to look
 	$(BIN)/urbanforest populate data_samples/sample_city.gpkg -o $(DEMO)
+	$(BIN)/urbanforest cover data_samples/sample_city.tif -o $(DEMO)/coverage.tif --preview $(DEMO)/coverage.png --overwrite
 	@echo
 	@echo "Look at:  $(DEMO)/view.png      the planted city from above"
 	@echo "          $(DEMO)/map.png       its map"
+	@echo "          $(DEMO)/coverage.png  an aerial picture, and the trees and lawns found in it"
 	@echo "          $(DEMO)/forest.glb    all of it in 3D, for Blender or a browser"
 	@echo "          $(DEMO)/report.html   counts, warnings, typical lots"
 	@echo "          $(DEMO)/register.gpkg every plant, styled, for QGIS"
 	@echo "Your own: $(BIN)/urbanforest populate CITY.gpkg"
 
-test: install ## run the tests (without the slow ones, and those that need other programs)
+test: install-train ## run the tests (without the slow ones, and those that need other programs)
 	$(BIN)/python -m pytest -q -m "not slow and not readers"
 
-test-all: install ## run all tests, the slow ones too
+test-all: install-train ## run all tests, the slow ones too
 	$(BIN)/python -m pytest -q
 
 readers: install ## open the outputs in three.js, CesiumJS, QGIS and others, which it installs where it may
@@ -51,7 +62,7 @@ readers: install ## open the outputs in three.js, CesiumJS, QGIS and others, whi
 	fi
 	$(BIN)/python -m pytest -q -rs -m readers tests/readers
 
-lint: install ## check format, style and types
+lint: install-train ## check format, style and types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy urbanforest_cli
@@ -60,18 +71,29 @@ format: install ## put the code into format
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: install ## measure speed as ratios in one run
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test,bench]'
+bench: install-train ## measure speed as ratios in one run
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test,train,bench]'
 	$(BIN)/python -m benchmarks
 
 check-growth: install ## hold open-grown plants of every species against measured ones
 	$(BIN)/python -m benchmarks.growth_check
 
+train-coverage: install-train ## train the coverage model that comes with the program again (about half an hour)
+	@test -d "$(NAIP)/images" || { echo "NAIP must name the folder of images/ and trees/: see docs/models/coverage.md"; exit 1; }
+	$(TRAIN) -o urbanforest_cli/models/coverage.onnx --overwrite --filters 24 --epochs 48 --patience 0 --threads 1 \
+		--work training/coverage
+
+train-coverage-small: install-train ## train a smaller one in minutes, on two cores, and tell how good it is
+	@test -d "$(NAIP)/images" || { echo "NAIP must name the folder of images/ and trees/: see docs/models/coverage.md"; exit 1; }
+	$(TRAIN) -o training/small.onnx --overwrite --threads 2 --work training/small
+	$(BIN)/urbanforest evaluate-coverage "$(NAIP)" -m training/small.onnx --group 'eureka*' --group 'bishop*'
+
 figures: install ## render the paper's placement figures
 	$(BIN)/urbanforest figures -o figures
 
 sample: install ## make the sample city again
-	SOURCE_DATE_EPOCH=1735689600 $(BIN)/urbanforest synth --lots 350 --seed 63 -o data_samples/sample_city.gpkg --overwrite
+	SOURCE_DATE_EPOCH=1735689600 $(BIN)/urbanforest synth --lots 350 --seed 63 -o data_samples/sample_city.gpkg --overwrite \
+		--image data_samples/sample_city.tif
 
 clean: ## remove what was made
-	rm -rf $(VENV) $(DEMO) figures build dist .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(DEMO) figures training build dist .pytest_cache .mypy_cache .ruff_cache
