@@ -1,0 +1,1 @@
+"""Stage: from an aerial image to a map of vegetation coverage."""

@@ -1,0 +1,1 @@
+"""Judging coverage maps against truth, beside baselines."""

@@ -1,0 +1,1 @@
+"""Teaching the coverage model: pairs, labels, networks, training. torch stays in `network` and `training`."""

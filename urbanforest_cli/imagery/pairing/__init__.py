@@ -1,0 +1,1 @@
+"""Folders of images with their truth, read as pairs."""
