@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from urbanforest_cli.commands import options
+from urbanforest_cli.commands.pair_options import pair_opts
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,42 +23,12 @@ WORST_SHOWN = 5
 LOG_WIDTH = 120
 
 
-def class_names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
-    """Take names parted by commas apart, and refuse what is no class."""
-    from urbanforest_cli.core.coverage_model import CLASSES
-
-    names = None if value is None else tuple(name.strip() for name in value.split(","))
-    if names is not None and not (set(names) <= set(CLASSES) and len(set(names)) == len(names)):
-        raise click.BadParameter(f"{value!r}: name one or more of {', '.join(CLASSES)}, parted by commas")
-    return names
-
-
-def colours(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Take colours of classes apart; whether they make sense is for the reader of masks to say."""
-    parts = [value.partition("=") for value in values]
-    if not all(name and colour for name, _, colour in parts):
-        raise click.BadParameter("a class and its colour, such as canopy=#00ff00")
-    return {name: colour for name, _, colour in parts}
-
-
 @click.command(short_help="Judge coverage maps and models against masks, beside baselines.")
 @click.argument("judged", metavar="PAIRS|MAP.tif", type=options.FilePath())
 @click.option("-m", "--model", type=options.FilePath(), metavar="MODEL.onnx",
               help="Model to judge on PAIRS.  [default: the one that comes with the program]")  # fmt: skip
 @click.option("--truth", metavar="FILE[:LAYER]", help="Mask or polygons that MAP.tif is held against.")
-@click.option(
-    "--label", type=click.Choice(["auto", "masks", "ndvi", "polygons", "side-by-side"]), default="auto",
-    show_default=True, help="Where the truth of PAIRS comes from.",
-)  # fmt: skip
-@click.option("--polygons", type=options.FilePath(), metavar="FILE", help="Canopy polygons over the images of PAIRS.")
-@click.option("--trees", metavar="FILE[:LAYER]",
-              help="Points of trees, to tell how many the canopy holds.  [default: folder trees of PAIRS]")  # fmt: skip
-@click.option("--classes", metavar="NAMES", callback=class_names,
-              help="What the truth shows: canopy, vegetation or both.  [default: as its files say]")  # fmt: skip
-@click.option("--palette", multiple=True, metavar="CLASS=#RRGGBB", callback=colours,
-              help="Colour of a class in masks of colours. Repeatable.")  # fmt: skip
-@click.option("--resolution", "resolution_m", type=click.FloatRange(0.01, 100), metavar="METRES",
-              help="Size of a pixel of images that do not tell it.  [default: 0.6]")  # fmt: skip
+@pair_opts
 @click.option("--group", "groups", multiple=True, metavar="PATTERN",
               help="Judge these groups or pairs only, such as 'eureka_*'. Repeatable.")  # fmt: skip
 @click.option(
@@ -80,10 +51,10 @@ def command(
     truth: str | None,
     label: Any,
     polygons: Path | None,
-    trees: str | None,
+    trees: Path | None,
     classes: tuple[str, ...] | None,
     palette: dict[str, str],
-    resolution_m: float | None,
+    image_resolution_m: float | None,
     groups: tuple[str, ...],
     training: tuple[str, ...],
     threshold: float | None,
@@ -107,7 +78,7 @@ def command(
         urbanforest evaluate-coverage coverage.tif --truth delmar.gpkg:canopy
     """
     of_pairs = {"model": model, "polygons": polygons, "group": groups, "train": training, "palette": palette,
-                "resolution": resolution_m, "label": None if label == "auto" else label}  # fmt: skip
+                "resolution": image_resolution_m, "label": None if label == "auto" else label}  # fmt: skip
     on_map = _refuse_mixed(judged, truth, [f"--{name}" for name, value in of_pairs.items() if value])
     from urbanforest_cli.imagery.judging.stage import PairOptions, evaluate_map, evaluate_pairs
 
@@ -116,7 +87,7 @@ def command(
             summary = evaluate_map(
                 judged,
                 truth=truth or "",
-                trees=trees,
+                trees=str(trees) if trees else None,
                 classes=classes,
                 threshold=threshold,
                 assume_crs=assume_crs,
@@ -132,10 +103,10 @@ def command(
                     label=label,
                     classes=classes,
                     polygons=polygons,
-                    trees=Path(trees) if trees else None,
+                    trees=trees,
                     palette=palette or None,
                     assume_crs=assume_crs,
-                    resolution_m=resolution_m,
+                    resolution_m=image_resolution_m,
                 ),
                 groups=groups,
                 training=training,

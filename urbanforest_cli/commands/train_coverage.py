@@ -8,9 +8,8 @@ from typing import Any
 import click
 
 from urbanforest_cli.commands import options
-from urbanforest_cli.core.coverage_model import CLASSES
+from urbanforest_cli.commands.pair_options import pair_opts
 from urbanforest_cli.imagery.learning.settings import LOSSES, PRESETS
-from urbanforest_cli.imagery.pairs import PAIR_LABELS
 
 
 def onnx_path(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
@@ -20,43 +19,13 @@ def onnx_path(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
     return value
 
 
-def class_names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
-    """Take names apart at commas."""
-    if value is None:
-        return None
-    names = tuple(name.strip() for name in value.split(","))
-    if not set(names) <= set(CLASSES) or len(set(names)) < len(names):
-        raise click.BadParameter(f"{value!r}: classes are {' and '.join(CLASSES)}, with a comma between")
-    return names
-
-
-def colours(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Take colours of classes apart; whether they make sense is for the reader of masks to say."""
-    parts = [value.partition("=") for value in values]
-    if not all(name and colour for name, _, colour in parts):
-        raise click.BadParameter("a class and its colour, such as canopy=#00ff00")
-    return {name: colour for name, _, colour in parts}
-
-
 @click.command(short_help="Train a network to map vegetation, from images and masks.")
 @click.argument("pairs", type=options.FilePath())
 @click.option("-o", "--output", type=options.FilePath(), metavar="MODEL.onnx", required=True, callback=onnx_path,
               help="Model to write.")  # fmt: skip
 @click.option("--preset", type=click.Choice(PRESETS), default="small", show_default=True,
               help="small: a light network, minutes on two cores. pix2pix: as published, for a GPU.")  # fmt: skip
-@click.option("--label", type=click.Choice(PAIR_LABELS), default="auto", show_default=True,
-              help="Where the truth comes from.")  # fmt: skip
-@click.option(
-    "--classes", callback=class_names, metavar="NAMES", help="Of canopy,vegetation.  [default: all there are]"
-)
-@click.option("--polygons", type=options.FilePath(), metavar="FILE[:LAYER]",
-              help="Canopy polygons over the images of PAIRS.")  # fmt: skip
-@click.option("--trees", type=options.FilePath(), metavar="FILE[:LAYER]",
-              help="Points of all visible trees.  [default: folder trees of PAIRS]")  # fmt: skip
-@click.option("--palette", multiple=True, metavar="CLASS=#RRGGBB", callback=colours,
-              help="Colour of a class in masks of colours. Repeatable.")  # fmt: skip
-@click.option("--resolution", "image_resolution_m", type=click.FloatRange(0.01, 100), metavar="METRES",
-              help="Size of a pixel of images that do not tell it.  [default: 0.6]")  # fmt: skip
+@pair_opts
 @click.option("--hold-out", multiple=True, metavar="PATTERN",
               help="Images or cities to leave for judging, such as 'rome_*'. Repeatable.")  # fmt: skip
 @click.option("--validation-fraction", type=click.FloatRange(0, 0.9), default=0.15, show_default=True,
