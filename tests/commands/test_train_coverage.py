@@ -97,7 +97,7 @@ def test_every_option_reaches_the_training(folder, tmp_path, runner, monkeypatch
     ("options", "text"),
     [
         (("-o", "model.pt"), ".onnx"),
-        (("-o", "m.onnx", "--classes", "trees"), "canopy and vegetation"),
+        (("-o", "m.onnx", "--classes", "trees"), "canopy, vegetation"),
         (("-o", "m.onnx", "--palette", "canopy"), "#00ff00"),
         (("-o", "m.onnx", "--crop", "100"), "multiple"),
         (("-o", "m.onnx", "--preset", "pix2pix", "--downs", "3"), "downs"),

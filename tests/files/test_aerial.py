@@ -9,6 +9,7 @@ import pytest
 import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
+from rio_cogeo import cog_validate
 
 from urbanforest_cli.core.errors import OutputError
 from urbanforest_cli.core.notices import Notices
@@ -76,3 +77,12 @@ def test_counts_lost_on_the_way_to_disk_are_noticed(tmp_path: Path, monkeypatch:
     with pytest.raises(OutputError, match="not written whole"):
         write(tmp_path / "a.tif", counts(4))
     assert not list(tmp_path.iterdir())
+
+
+def test_readers_in_the_cloud_find_overviews_first(tmp_path: Path) -> None:
+    for bands in (3, 4):
+        write(tmp_path / "a.tif", counts(bands))
+        valid, faults, warnings = cog_validate(tmp_path / "a.tif", strict=True)
+        assert valid, (faults, warnings)
+        with rasterio.open(tmp_path / "a.tif") as file:
+            assert file.overviews(1) == [2]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
-from rasterio.enums import ColorInterp
+from rasterio.enums import ColorInterp, Resampling
 from rasterio.errors import RasterioError
 from rasterio.shutil import copy
 from rasterio.windows import Window
@@ -29,7 +29,8 @@ BANDS = (
     ("blue", ColorInterp.blue),
     ("near infrared", ColorInterp.undefined),
 )
-JPEG_QUALITY = 90
+LOSSY = {"compress": "JPEG", "jpeg_quality": 78}
+LOSSLESS = {"compress": "DEFLATE", "predictor": 2, "zlevel": 9}
 LOSSY_MEAN_MAX = 3.0
 """Counts by which the mean of a window may differ after JPEG."""
 
@@ -106,17 +107,27 @@ def writing_aerial(path: Path, grid: RasterGrid, *, nir: bool, provenance: Mappi
                     file.set_band_description(band, name)
                 file.update_tags(**{TAG: made})
                 file.close()
-                packing = {"compress": "DEFLATE", "predictor": "YES"} if nir else {
-                    "compress": "JPEG", "quality": JPEG_QUALITY,
-                }  # fmt: skip
+                with rasterio.open(plain, "r+") as file:
+                    file.build_overviews(_overviews(grid), Resampling.average)
+                # Not by the driver of cloud-optimised files, whose JPEG halves the resolution of colours.
                 copy(
-                    str(plain), str(part), driver="COG", blocksize=BLOCK_PX, overview_resampling="AVERAGE",
-                    bigtiff="IF_SAFER", num_threads=1, **packing,
+                    str(plain), str(part), driver="GTiff", copy_src_overviews="YES", tiled="YES", blockxsize=BLOCK_PX,
+                    blockysize=BLOCK_PX, interleave="pixel", photometric="RGB", alpha="NO", bigtiff="IF_SAFER",
+                    num_threads=1, **(LOSSLESS if nir else LOSSY),
                 )  # fmt: skip
             plain.unlink()
         finally:
             with _writing(path):
                 file.close()
+
+
+def _overviews(grid: RasterGrid) -> list[int]:
+    """Return by how much overviews are smaller, until one fits a block."""
+    factors: list[int] = []
+    longest = max(grid.width_px, grid.height_px)
+    while longest > BLOCK_PX << len(factors):
+        factors.append(2 << len(factors))
+    return factors
 
 
 @contextmanager

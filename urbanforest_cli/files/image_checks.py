@@ -18,6 +18,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from urbanforest_cli.core.errors import InputError, LimitError
 from urbanforest_cli.core.notices import Notices
+from urbanforest_cli.files.picture_structure import PNG_SIGNATURE, check_picture, unpacks_whole
 from urbanforest_cli.files.tiff_structure import TiffStructure, tiff_structure
 from urbanforest_cli.files.vector_formats import refuse_remote
 
@@ -34,9 +35,6 @@ UNPACKED_RATIO_MOST = 2_000_000
 CACHE_BYTES = 128 << 20
 DTYPES = ("uint8", "uint16", "int16", "uint32", "int32", "float32", "float64")
 _SIDECAR_MOST_BYTES = 16 << 20
-_PNG = b"\x89PNG\r\n\x1a\n"
-_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-_JPEG_PROGRESSIVE = (0xC2, 0xC6, 0xCA, 0xCE)
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _EXPECTED = "a GeoTIFF, PNG, JPEG or JPEG 2000 file"
 _WHOLE = "check that the file is whole; open it in QGIS and save it again as GeoTIFF"
@@ -51,7 +49,7 @@ class _Format:
 
 _FORMATS = (
     _Format("GTiff", _TIFF),
-    _Format("PNG", (_PNG,)),
+    _Format("PNG", (PNG_SIGNATURE,)),
     _Format("JPEG", (b"\xff\xd8\xff",)),
     _Format("JP2OpenJPEG", (b"\x00\x00\x00\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51")),
 )
@@ -81,8 +79,7 @@ def open_raster(path: Path, notices: Notices) -> Iterator[tuple[Any, TiffStructu
     driver = raster_driver(path)
     _check_sidecars(path)
     structure = tiff_structure(path) if driver == "GTiff" else None
-    if driver == "PNG":
-        _check_png_end(path)
+    check_picture(path, driver)
     whole = path.absolute()  # else a name such as GTIFF_DIR:2:x.tif would be taken for an instruction
     with rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES, GDAL_NUM_THREADS="1"):
         with (
@@ -169,19 +166,6 @@ def _head(path: Path) -> bytes:
     return head
 
 
-def _check_png_end(path: Path) -> None:
-    """Refuse a PNG that is cut off: GDAL reads what is missing as black."""
-    with path.open("rb") as stream:
-        size, place = os.fstat(stream.fileno()).st_size, len(_PNG)
-        while place + 12 <= size:
-            stream.seek(place)
-            head = stream.read(8)
-            place += 12 + int.from_bytes(head[:4], "big")
-            if head[4:] == b"IEND" and place <= size:
-                return
-    raise InputError("the PNG file ends before its picture does", where=path, found=f"{size:,} bytes", next_step=_WHOLE)
-
-
 def _check_sidecars(path: Path) -> None:
     """Refuse files beside it that GDAL would open and that could send it elsewhere."""
     for suffix in (".msk", ".ovr", ".aux.xml"):
@@ -230,7 +214,7 @@ def _check_limits(dataset: Any, path: Path) -> None:
             "the file claims far more pixels than it can hold", where=path,
             found=f"{width:,} x {height:,} px in {path.stat().st_size:,} bytes", next_step=_WHOLE,
         )  # fmt: skip
-    if unpacked > WHOLE_MOST_BYTES and _unpacked_whole(dataset, path):
+    if unpacked > WHOLE_MOST_BYTES and unpacks_whole(path, dataset.driver):
         raise LimitError(
             "the image can only be unpacked whole", where=path, found=f"{unpacked >> 20:,} MiB",
             expected=f"at most {WHOLE_MOST_BYTES >> 20} MiB", next_step=_TILE,
@@ -240,21 +224,6 @@ def _check_limits(dataset: Any, path: Path) -> None:
 def _sample_bytes(name: str) -> int:
     digits = "".join(character for character in name if character.isdigit())
     return max(1, int(digits or 8) // 8)
-
-
-def _unpacked_whole(dataset: Any, path: Path) -> bool:
-    """Tell whether a file lists its picture coarse to fine, so that the last row needs all of it."""
-    if dataset.driver not in ("PNG", "JPEG"):
-        return False
-    with path.open("rb") as stream:
-        if dataset.driver == "PNG":
-            return stream.read(29)[28:] == b"\x01"  # Adam7
-        stream.seek(2)
-        while len(head := stream.read(4)) == 4 and head[0] == 0xFF:
-            if head[1] in _JPEG_FRAMES:
-                return head[1] in _JPEG_PROGRESSIVE
-            stream.seek(int.from_bytes(head[2:], "big") - 2, os.SEEK_CUR)
-    return False
 
 
 def _check_samples(dataset: Any, path: Path) -> None:
