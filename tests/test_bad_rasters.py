@@ -137,7 +137,8 @@ MAKES = {
 def sound(tmp_path_factory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("sound")
     values = colours(150, 150) // 8 * 8 + 1
-    return {make: write_raster(folder / "a", values, **options).read_bytes() for make, options in MAKES.items()}
+    # Named .jp2, since GDAL writes JPEG 2000 under any other name without the boxes around it.
+    return {make: write_raster(folder / "a.jp2", values, **options).read_bytes() for make, options in MAKES.items()}
 
 
 @pytest.mark.parametrize("make", MAKES)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -54,8 +55,7 @@ def place_obstacles(
     if plan.river is not None:
         water = [plan.river.intersection(town)]
     if plan.railway is not None:
-        tracks = [shapely.offset_curve(plan.railway, side * _TRACK_GAUGE_M / 2) for side in (1, -1)]
-        rails = [track.intersection(town) for track in tracks]
+        rails = [track.intersection(town) for track in tracks(plan.railway)]
     water_array = shapely.get_parts(np.array([*water, *ponds], dtype=object))
     rail_array = shapely.get_parts(np.array(rails, dtype=object))
     groups = (("hydrant", hydrants), ("mast", masts), ("pipe", pipes), ("rail", rail_array), ("water", water_array))
@@ -65,6 +65,11 @@ def place_obstacles(
         kinds,
         np.where(kinds == "pipe", _PIPE_CLEARANCE_M, np.nan),
     )
+
+
+def tracks(railway: shapely.LineString) -> list[Any]:
+    """Return the middles of a railway's two tracks."""
+    return [shapely.offset_curve(railway, side * _TRACK_GAUGE_M / 2) for side in (1, -1)]
 
 
 def points_along(

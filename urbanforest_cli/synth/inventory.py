@@ -50,12 +50,11 @@ def take_inventory(
     rng: np.random.Generator,
 ) -> Inventory:
     """Plant the surveyed part of the city and write down what stands there."""
-    middles = shapely.get_coordinates(shapely.point_on_surface(lots.shapes))
-    surveyed = np.sort(np.argsort(np.hypot(*middles.T), kind="stable")[:SURVEYED_LOTS])
+    surveyed = surveyed_lots(lots)
     walls, ways = shapely.STRtree(buildings), shapely.STRtree(driveways)
     garden_xy = _garden_trees(lots.shapes[surveyed], zones[surveyed], rng)
     garden_xy = garden_xy[_clear(garden_xy, walls, _CLEAR_OF_WALLS_M) & _clear(garden_xy, ways, _CLEAR_OF_WAYS_M)]
-    garden_xy = garden_xy[_apart(garden_xy, _APART_M)]
+    garden_xy = garden_xy[apart(garden_xy, _APART_M)]
     street_xy, street_species = _street_trees(roads, shapely.STRtree(lots.shapes[surveyed]), ways, rng)
     ids = np.array(catalogue.ids, dtype=object)
     garden_species = ids[_garden_species(len(garden_xy), len(ids), rng)]
@@ -72,13 +71,19 @@ def take_inventory(
     )
 
 
+def surveyed_lots(lots: Lots) -> NDArray[np.int64]:
+    """Return the numbers of the lots nearest the centre, ascending."""
+    middles = shapely.get_coordinates(shapely.point_on_surface(lots.shapes))
+    return np.sort(np.argsort(np.hypot(*middles.T), kind="stable")[:SURVEYED_LOTS])
+
+
 def _clear(xy: Floats, tree: shapely.STRtree, distance_m: float) -> NDArray[np.bool_]:
     clear = np.ones(len(xy), dtype=bool)
     clear[tree.query(shapely.points(xy), predicate="dwithin", distance=distance_m)[0]] = False
     return clear
 
 
-def _apart(xy: Floats, distance_m: float) -> NDArray[np.bool_]:
+def apart(xy: Floats, distance_m: float) -> NDArray[np.bool_]:
     """Keep a point if no kept one before it is nearer than the distance."""
     points = np.asarray(shapely.points(xy))
     first, second = shapely.STRtree(points).query(points, predicate="dwithin", distance=distance_m)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
@@ -22,31 +20,18 @@ from urbanforest_cli.core.crs import is_metric
 from urbanforest_cli.core.errors import CrsError, LimitError, OutputExistsError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.progress import Progress, silent
-from urbanforest_cli.core.randomness import rng_for
-from urbanforest_cli.core.species import Catalogue
 from urbanforest_cli.core.summary import StageSummary
 from urbanforest_cli.files.geopackage import write_layers
 from urbanforest_cli.files.provenance import Record, stage_key
 from urbanforest_cli.files.species import load_catalogue
-from urbanforest_cli.synth.blocks import make_blocks
-from urbanforest_cli.synth.buildings import Buildings, make_buildings
-from urbanforest_cli.synth.furniture import Obstacles, place_obstacles
-from urbanforest_cli.synth.inventory import Inventory, take_inventory
-from urbanforest_cli.synth.lots import Lots, dig_ponds, make_lots, nearest_lots
-from urbanforest_cli.synth.plan import Geometries, make_plan
-from urbanforest_cli.synth.sketches import Sketches, draw_sketches
-from urbanforest_cli.synth.streets import Roads, finish_streets
-from urbanforest_cli.synth.zoning import zone_lots
+from urbanforest_cli.synth.city import STAGE, SynthCity, build_city
+from urbanforest_cli.synth.picture.stage import PictureSettings, take_picture
+from urbanforest_cli.synth.plan import Geometries
 
-STAGE = "synth"
 LOT_COUNT_MIN, LOT_COUNT_MAX = 10, 1_000_000
 DEFAULT_CRS = "EPSG:32633"
 DEFAULT_PLACE = (459_000.0, 5_549_000.0)
 """Easting and northing of the city's centre in the default CRS, in Bohemia."""
-
-_GROUND_A_LOT_M2 = 1150.0
-_MARGIN_M = 70.0
-_BLOCKS_FULL_LENGTH_FROM = 150
 
 GEOMETRY_TYPES = {
     "lots": "MultiPolygon",
@@ -60,19 +45,6 @@ GEOMETRY_TYPES = {
 }
 
 
-@dataclass(frozen=True)
-class SynthCity:
-    """All of a city in metres from its centre; `core.crs` and files know nothing of it yet."""
-
-    lots: Lots
-    zones: NDArray[np.object_]
-    buildings: Buildings
-    roads: Roads
-    obstacles: Obstacles
-    sketches: Sketches
-    inventory: Inventory
-
-
 def make_city(
     output: Path,
     *,
@@ -80,6 +52,7 @@ def make_city(
     seed: int,
     crs: str = DEFAULT_CRS,
     squares: bool = False,
+    picture: PictureSettings | None = None,
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> StageSummary:
@@ -99,17 +72,19 @@ def make_city(
     squares
         Make one lot, and another for every twenty thousand, a square of the street zone. Without squares the street
         zone is what `stencil` derives from the roads; with them it is these lots.
+    picture
+        Take an aerial picture of the city, too.
     overwrite
         Replace a file that stands in the way.
 
     Raises
     ------
     LimitError
-        Fewer than 10 lots, or more than a million.
+        Fewer than 10 lots, or more than a million; or no such picture can be taken.
     CrsError
         The CRS is unknown, not projected, or not in metres.
     OutputExistsError
-        The file is there already.
+        The file is there already, or the picture.
     OutputError
         It could not be written whole.
     """
@@ -123,9 +98,12 @@ def make_city(
         )
     if output.exists() and not overwrite:
         raise OutputExistsError("the file is there already", where=output, next_step="add --overwrite to replace it")
+    if picture is not None:
+        picture.check(overwrite=overwrite)
     target, place = city_place(crs)
     catalogue = load_catalogue(Species())
-    frames = _frames(build_city(lot_count, seed, catalogue, squares=squares, progress=progress), target, place)
+    city = build_city(lot_count, seed, catalogue, squares=squares, progress=progress)
+    frames = _frames(city, target, place)
     counts: dict[str, int | float | str] = {name: len(frame) for name, frame in frames.items()}
     settings: dict[str, object] = {"lots": lot_count, "crs": crs, "squares": squares}
     record = Record(
@@ -141,7 +119,20 @@ def make_city(
     progress("writing", 0, 1)
     write_layers(output, frames, fresh=True, geometry_types=GEOMETRY_TYPES)
     progress("writing", 1, 1)
+    if picture is not None:
+        counts |= take_picture(
+            city, catalogue, picture, seed=seed, crs=target, place=place, provenance=_picture_record(record, picture),
+            progress=progress,
+        )  # fmt: skip
     return StageSummary(STAGE, output, counts, Notices(), time.perf_counter() - started)
+
+
+def _picture_record(record: Record, picture: PictureSettings) -> dict[str, Any]:
+    """Return what made a picture from what."""
+    return {
+        "stage": f"{STAGE} --image", "seed": str(record.seed), "stage_key": record.stage_key,
+        "program_version": record.program_version, "resolution_m": picture.resolution_m, **record.config,
+    }  # fmt: skip
 
 
 def city_place(text: str) -> tuple[CRS, tuple[float, float]]:
@@ -173,43 +164,6 @@ def city_place(text: str) -> tuple[CRS, tuple[float, float]]:
     if not (math.isfinite(x) and math.isfinite(y)):
         return crs, (0.0, 0.0)
     return crs, (round(x, -3), round(y, -3))
-
-
-def build_city(
-    lot_count: int, seed: int, catalogue: Catalogue, *, squares: bool = False, progress: Progress = silent
-) -> SynthCity:
-    """Build a city of exactly `lot_count` lots around the origin.
-
-    A plan somewhat too large is laid out and the blocks nearest the centre are kept; should it be too small after
-    all, a larger one is.
-    """
-    steps = 5
-    block_scale = float(np.clip(lot_count / _BLOCKS_FULL_LENGTH_FROM, 0.45, 1.0))
-    radius_m = math.sqrt(lot_count * _GROUND_A_LOT_M2 / math.pi)
-    while True:
-        progress("building the city", 0, steps)
-        plan = make_plan(lot_count, radius_m, rng_for(seed, STAGE, "plan"))
-        blocks, side_streets = make_blocks(plan, block_scale, rng_for(seed, STAGE, "blocks"))
-        lots = make_lots(blocks, plan, rng_for(seed, STAGE, "lots"))
-        if len(lots) >= lot_count:
-            break
-        radius_m = radius_m * math.sqrt(1.2 * lot_count / max(len(lots), 1)) + _MARGIN_M
-    lots, blocks = nearest_lots(lots, blocks, lot_count)
-    progress("building the city", 1, steps)
-    zones = zone_lots(lots, plan.main_roads, rng_for(seed, STAGE, "zones"), squares=squares)
-    lots, ponds = dig_ponds(lots, rng_for(seed, STAGE, "ponds"))
-    progress("building the city", 2, steps)
-    buildings = make_buildings(lots, zones, radius_m, rng_for(seed, STAGE, "buildings"))
-    progress("building the city", 3, steps)
-    roads = finish_streets(plan, side_streets, blocks)
-    obstacles = place_obstacles(plan, roads, blocks, lots, ponds, buildings, rng_for(seed, STAGE, "obstacles"))
-    progress("building the city", 4, steps)
-    sketches = draw_sketches(lots, zones)
-    inventory = take_inventory(
-        lots, zones, buildings.shapes, buildings.driveways, roads, catalogue, rng_for(seed, STAGE, "inventory")
-    )
-    progress("building the city", steps, steps)
-    return SynthCity(lots, zones, buildings, roads, obstacles, sketches, inventory)
 
 
 def _frames(city: SynthCity, crs: CRS, place: tuple[float, float]) -> dict[str, pd.DataFrame]:
