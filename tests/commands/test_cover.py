@@ -1,16 +1,13 @@
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 
 from tests.reference.tiny_coverage import garden, greenness, info_of, write_image
-from urbanforest_cli import main
-
-
-@pytest.fixture(autouse=True)
-def registered(monkeypatch):
-    monkeypatch.setitem(main.COMMANDS, "cover", ("cover", "Map the vegetation in an aerial image."))
 
 
 @pytest.fixture
@@ -79,3 +76,35 @@ def test_what_is_no_image_is_refused_by_name(runner, tmp_path, model, name):
     assert name in outcome.stderr
     assert "Traceback" not in outcome.stderr
     assert not (tmp_path / "map.tif").exists()
+
+
+WITHOUT_TRAINING = """
+import sys
+for name in ("torch", "onnx", "sklearn", "tensorboardX"):
+    sys.modules[name] = None  # an import of it fails
+from urbanforest_cli.main import run
+run()
+"""
+
+
+def test_the_shipped_model_needs_nothing_of_the_extra_train(tmp_path, image):
+    """Mapping with the model of the program, in a process that has no torch, and judging the map."""
+    output = tmp_path / "map.tif"
+    for words in (["cover", image, "-o", output], ["evaluate-coverage", output, "--truth", output]):
+        done = subprocess.run(
+            [sys.executable, "-c", WITHOUT_TRAINING, *map(str, words)], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+    with rasterio.open(tmp_path / "map.tif") as file:
+        assert file.descriptions == ("canopy", "vegetation")
+        assert file.read(2).max() > 50
+
+
+def test_the_shipped_model_finds_the_trees_of_the_sample_city(runner, tmp_path):
+    sample = Path(__file__).parents[2] / "data_samples" / "sample_city.tif"
+    truth = sample.with_name("sample_city_coverage.tif")
+    assert runner("cover", sample, "-o", tmp_path / "map.tif", "-q").exit_code == 0
+    outcome = runner("evaluate-coverage", tmp_path / "map.tif", "--truth", truth, "--json")
+    counts = json.loads(outcome.stdout)["counts"]
+    assert counts["canopy_iou"] > 0.55
+    assert counts["vegetation_iou"] > 0.65

@@ -5,12 +5,13 @@ import pytest
 
 from tests.imagery.learning.pairs import Discs
 from urbanforest_cli.core.coverage_model import UNKNOWN
+from urbanforest_cli.imagery.learning import augment
 from urbanforest_cli.imagery.learning.augment import CropSource, oriented
 from urbanforest_cli.imagery.learning.settings import SMALL, Jitter
 from urbanforest_cli.imagery.learning.tiles import Tile, TileLook, normalised
 
 SETTINGS = replace(SMALL, crop_px=32, load_px=32, batch=4, downs=2)
-NO_CHANGE = replace(Jitter().scaled(0.0), transfer=0.0)
+NO_CHANGE = replace(Jitter().scaled(0.0), transfer=0.0, blur=0.0)
 
 
 def tiles_and_looks(count=3, side=64, groups=("a", "b")):
@@ -101,7 +102,8 @@ def test_a_tile_smaller_than_a_crop_is_mirrored_and_unknown_around():
 
 
 def test_jitter_changes_the_image_within_bounds_and_leaves_the_truth():
-    plain, strong = source(replace(SETTINGS, jitter=NO_CHANGE)), source(replace(SETTINGS, jitter=Jitter().scaled(4.0)))
+    wild_jitter = replace(Jitter().scaled(4.0), zoom=0.0)
+    plain, strong = source(replace(SETTINGS, jitter=NO_CHANGE)), source(replace(SETTINGS, jitter=wild_jitter))
     calm, wild = plain.batch(0, 0), strong.batch(0, 0)
     np.testing.assert_array_equal(calm.truths, wild.truths)
     assert np.abs(calm.images - wild.images).mean() > 0.1
@@ -123,6 +125,33 @@ def test_each_spread_does_something_of_its_own(name):
     if name == "channel_offset":
         inside = change[0][:, (moved[0] > -0.99).all(axis=0)]
         assert inside.std(axis=1).max() < 0.02
+
+
+def test_zoom_shows_crops_larger_and_smaller_and_truths_with_them():
+    settings = replace(SETTINGS, jitter=replace(NO_CHANGE, zoom=0.3), batch=32)
+    batch = source(settings).batch(0, 0)
+    still = source(replace(settings, jitter=NO_CHANGE)).batch(0, 0)
+    assert batch.images.shape == still.images.shape
+    assert batch.truths.shape == still.truths.shape
+    assert (batch.images != still.images).any(axis=(1, 2, 3)).mean() > 0.9
+
+
+def test_zoom_keeps_image_and_truth_over_each_other():
+    ramp = np.tile(np.linspace(0.0, 1.0, 90, dtype=np.float32), (3, 90, 1))
+    shown = augment.interpolated(ramp, 64)
+    truth = augment.nearest((ramp[:1] * 100).astype(np.uint8), 64)
+    np.testing.assert_allclose(shown[0] * 100, truth[0], atol=1.7)
+
+
+def test_blur_takes_detail_and_keeps_the_mean():
+    image = np.random.default_rng(0).random((3, 64, 64)).astype(np.float32)
+    blurred = image.copy()
+    augment.blur(blurred, 1.0, np.random.default_rng(1))
+    assert blurred.std() < 0.7 * image.std()
+    assert blurred.mean() == pytest.approx(image.mean(), abs=0.01)
+    untouched = image.copy()
+    augment.blur(untouched, 0.0, np.random.default_rng(1))
+    np.testing.assert_array_equal(untouched, image)
 
 
 def test_without_spread_images_are_in_true_colours():

@@ -6,11 +6,13 @@ no memory of its random numbers.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from urbanforest_cli.core.randomness import rng_for
 from urbanforest_cli.imagery.learning.settings import Jitter, TrainingSettings
@@ -23,6 +25,8 @@ GRAYS = (0.2, 0.6)
 """Range of the gray that contrast is changed about, of values from 0 to 1."""
 TRANSFER_MOST = 1.3
 LEAST_DEVIATION = 0.02
+BLUR_MOST_PX = 1.5
+ZOOM_MOST = 1.5
 
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
@@ -81,17 +85,22 @@ class CropSource:
             rng = rng_for(self._settings.seed, STREAM, f"{key} {first + place}")
             owner = int(order[(first + place) % len(order)])
             tile = at_least(self._tiles[owner], side)
-            row = int(rng.integers(tile.rgb.shape[1] - side + 1))
-            col = int(rng.integers(tile.rgb.shape[2] - side + 1))
+            taken = side_taken(side, min(tile.rgb.shape[1:]), jitter.zoom if jitter else 0.0, rng)
+            row = int(rng.integers(tile.rgb.shape[1] - taken + 1))
+            col = int(rng.integers(tile.rgb.shape[2] - taken + 1))
             turn = int(rng.integers(8)) if self._settings.dihedral else 4 * int(rng.integers(2))
-            window = (slice(None), slice(row, row + side), slice(col, col + side))
-            truths.append(oriented(tile.truth[window], turn))
+            window = (slice(None), slice(row, row + taken), slice(col, col + taken))
+            truths.append(nearest(oriented(tile.truth[window], turn), side))
             values = np.tile(np.arange(LEVELS) / (LEVELS - 1.0), (3, 1))
             if jitter is not None:
                 values = self._transferred(values, self._group[owner], jitter, rng)
                 values = jittered(values, jitter, rng)
-            paint(images[place], oriented(tile.rgb[window], turn), (2.0 * values - 1.0).astype(np.float32))
+            shown = images[place] if taken == side else np.empty((3, taken, taken), dtype=np.float32)
+            paint(shown, oriented(tile.rgb[window], turn), (2.0 * values - 1.0).astype(np.float32))
+            if taken != side:
+                images[place] = interpolated(shown, side)
             if jitter is not None and self._noise is not None:
+                blur(images[place], jitter.blur, rng)
                 saturate(images[place], float(np.exp(rng.normal(0.0, jitter.saturation))))
                 add_noise(images[place], self._noise, int(rng.integers(NOISE_VALUES)))
         return Batch(images, np.stack(truths))
@@ -128,6 +137,40 @@ def paint(into: Floats, pixels: Bytes, table: Floats) -> None:
     """Write each channel's values, looked up in its row of a table, into (3, row, col)."""
     for channel in range(3):
         np.take(table[channel], pixels[channel], out=into[channel], mode="clip")
+
+
+def side_taken(side: int, most: int, zoom: float, rng: np.random.Generator) -> int:
+    """Draw how many pixels along a side are shown as `side`, at most `most`; the draw is made in any case."""
+    factor = math.exp(min(max(zoom * rng.standard_normal(), -math.log(ZOOM_MOST)), math.log(ZOOM_MOST)))
+    return min(round(side * factor), most)
+
+
+def nearest(pixels: Bytes, side: int) -> Bytes:
+    """Bring (channel, row, col) to another side; each pixel is that whose middle is nearest."""
+    if pixels.shape[1] == side:
+        return pixels
+    places = ((np.arange(side) + 0.5) * (pixels.shape[1] / side)).astype(np.intp)
+    return pixels[:, places[:, None], places]
+
+
+def interpolated(image: Floats, side: int) -> Floats:
+    """Bring a square image (3, row, col) to another side, linearly between the middles of pixels."""
+    taken = image.shape[1]
+    places = np.clip((np.arange(side) + 0.5) * (taken / side) - 0.5, 0.0, taken - 1.0)
+    first = np.minimum(places.astype(np.intp), taken - 2)
+    share = (places - first).astype(np.float32)
+    weights = np.zeros((side, taken), dtype=np.float32)
+    weights[np.arange(side), first] = 1.0 - share
+    weights[np.arange(side), first + 1] += share
+    return np.asarray(weights @ image @ weights.T, dtype=np.float32)
+
+
+def blur(image: Floats, share: float, rng: np.random.Generator) -> None:
+    """Blur an image in place with a probability, by a Gaussian of a width drawn up to `BLUR_MOST_PX`."""
+    drawn, width_px = rng.random(), rng.uniform(0.0, BLUR_MOST_PX)
+    if drawn < share:
+        for channel in image:
+            gaussian_filter(channel, width_px, output=channel, mode="nearest", truncate=3.0)
 
 
 def saturate(image: Floats, factor: float) -> None:

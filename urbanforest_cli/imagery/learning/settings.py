@@ -14,6 +14,8 @@ Device = Literal["auto", "cpu", "cuda"]
 PRESETS: tuple[Preset, ...] = ("small", "pix2pix")
 LOSSES: tuple[Loss, ...] = ("bce", "l1", "l1+gan")
 PATIENCE_LEAST = 5
+SHARES = ("transfer", "blur")
+"""What of the jitter is a share of crops, not a spread."""
 PIX2PIX_DOWNS_LEAST = 5
 
 
@@ -28,9 +30,13 @@ class Jitter:
         gray, and of the distance of a pixel's channels to their mean.
     channel_offset, noise
         Of a value from 0 to 1 added to each channel, and to each pixel of each channel.
+    zoom
+        Of the factor by which a crop is shown larger or smaller than it is: imagery is not as sharp as its pixels.
     transfer
         Not a spread but a share: of crops that first get the mean and contrast that another group's images have in
         each channel, or part of the way there, or a little beyond.
+    blur
+        A share, too: of crops that are blurred, by a Gaussian of up to `BLUR_MOST_PX`.
     """
 
     gain: float = 0.16
@@ -40,11 +46,13 @@ class Jitter:
     saturation: float = 0.0
     channel_offset: float = 0.025
     noise: float = 0.008
+    zoom: float = 0.15
     transfer: float = 0.3
+    blur: float = 0.4
 
     def scaled(self, strength: float) -> Jitter:
-        """Return all spreads times a number."""
-        spreads = {name: value * strength for name, value in asdict(self).items() if name != "transfer"}
+        """Return all spreads times a number; shares stay."""
+        spreads = {name: value * strength for name, value in asdict(self).items() if name not in SHARES}
         return replace(self, **spreads)
 
 
