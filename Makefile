@@ -80,7 +80,7 @@ check-growth: install ## hold open-grown plants of every species against measure
 
 train-coverage: install-train ## train the coverage model that comes with the program again (about half an hour)
 	@test -d "$(NAIP)/images" || { echo "NAIP must name the folder of images/ and trees/: see docs/models/coverage.md"; exit 1; }
-	$(TRAIN) -o urbanforest_cli/models/coverage.onnx --overwrite --filters 24 --epochs 48 --patience 0 --threads 1 \
+	$(TRAIN) -o urbanforest_cli/models/coverage.onnx --overwrite --filters 24 --epochs 40 --patience 0 --threads 1 \
 		--work training/coverage
 
 train-coverage-small: install-train ## train a smaller one in minutes, on two cores, and tell how good it is

@@ -36,6 +36,8 @@ def test_an_image_is_mapped_and_told_as_json(runner, tmp_path, image, model):
     again = runner(*arguments)
     assert again.exit_code == 0
     assert "up to date" in again.stdout
+    assert "70 x 60 pixels of 0.6 m" in again.stdout
+    assert outcome.stderr.split() == ["coverage", "..."]
     assert "format: cover" in runner("info", output).stdout
 
 
@@ -58,6 +60,8 @@ def test_another_map_is_not_written_over_unasked(runner, tmp_path, image, model)
         (["-o", "map.tif", "--stretch", "9,9"], "is no range"),
         (["-o", "map.tif", "--stretch", "nan,9"], "is no range"),
         (["-o", "map.tif", "--bbox", "5", "0", "1", "9"], "west must be below east"),
+        (["-o", "map.tif", "--bbox", "0", "0", "inf", "9"], "finite"),
+        (["-o", "map.tif", "--bbox", "0", "nan", "1", "9"], "finite"),
         (["second.tif", "-o", "map.tif"], "--mosaic"),
         ([], "-o"),
     ],

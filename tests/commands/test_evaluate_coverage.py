@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -112,10 +113,38 @@ def test_baselines_are_fitted_to_one_city_and_judged_on_the_other(runner, pairs,
     assert judged(runner, pairs, "-m", model, "--train", "north", "--workers", "1")["judgement"] == record["judgement"]
 
 
-def test_baselines_learn_from_another_folder_too(runner, pairs, model):
-    record = judged(runner, pairs, "-m", model, "--train", pairs, "--group", "south")
-    assert record["about"]["baselines_learnt_from"] == 8
+def test_baselines_learn_from_another_folder_less_what_is_judged(runner, pairs, model, tmp_path):
+    more = tmp_path / "more"
+    shutil.copytree(pairs, more)
+    for number in range(2):  # another image of a judged place
+        for kind in ("images", "masks"):
+            with rasterio.open(pairs / kind / f"south_{number}.tif") as file:
+                write_tif(more / kind / f"later_{number}.tif", file.read()[:, ::-1], WEST + 10_000 + 100 * number)
+    (more / "images" / "south_3.tif").unlink()
+    record = judged(runner, pairs, "-m", model, "--train", more, "--group", "south")
+    assert record["about"]["baselines_learnt_from"] == 4
     assert record["counts"]["tiles"] == 4
+    assert [(one["code"], one["count"]) for one in record["warnings"]] == [("W_TRAINING_PLACES", 5)]
+
+
+def test_baselines_learn_from_the_rest_of_the_same_folder(runner, pairs, model):
+    record = judged(runner, pairs, "-m", model, "--train", pairs, "--group", "south_[01]")
+    assert (record["about"]["baselines_learnt_from"], record["counts"]["tiles"]) == (6, 2)
+    refused = runner("evaluate-coverage", pairs, "-m", model, "--train", pairs)
+    assert refused.exit_code == 2
+    assert "nothing to learn from" in refused.stderr
+    assert "no pair fits" in runner("evaluate-coverage", pairs, "-m", model, "--train", "").stderr
+
+
+def test_an_image_that_lies_nowhere_is_known_by_its_pixels(runner, pairs, model, tmp_path):
+    bare = tmp_path / "bare"
+    for kind in ("images", "masks"):
+        (bare / kind).mkdir(parents=True)
+        for name in ("north_0", "south_0", "south_1"):
+            with rasterio.open(pairs / kind / f"{name}.tif") as file:
+                Image.fromarray(np.squeeze(np.moveaxis(file.read(), 0, -1))).save(bare / kind / f"copy_of_{name}.png")
+    record = judged(runner, pairs, "-m", model, "--train", bare, "--group", "south")
+    assert record["about"]["baselines_learnt_from"] == 1
 
 
 def test_without_scikit_learn_the_other_baselines_stay_and_its_install_is_named(runner, pairs, model, monkeypatch):
@@ -134,6 +163,18 @@ def test_pairs_that_the_model_has_seen_are_counted(runner, pairs, model, tmp_pat
     warnings = {row["code"]: row["count"] for row in judged(runner, pairs, "-m", path)["warnings"]}
     assert warnings == {"W_SEEN_IN_TRAINING": 4}
     assert judged(runner, pairs, "-m", path, "--group", "south")["warnings"] == []
+
+
+def test_images_that_the_model_has_seen_are_known_whatever_the_options(runner, pairs, model, tmp_path):
+    read = read_pairs(pairs, notices=Notices())
+    data = {"fingerprint": "another", "image_hashes": [read.content(index) for index in (0, 2, 5)]}
+    path = tmp_path / "seen.onnx"
+    path.write_bytes(sealed(model.read_bytes(), about(training={"data": data}).as_metadata()))
+    shutil.copy(pairs / "images" / "north_0.tif", pairs / "images" / "copy.tif")
+    shutil.copy(pairs / "masks" / "north_0.tif", pairs / "masks" / "copy.tif")
+    for more in ([], ["--classes", "canopy"], ["--assume-crs", "EPSG:32633"]):
+        warnings = {row["code"]: row["count"] for row in judged(runner, pairs, "-m", path, *more)["warnings"]}
+        assert warnings == {"W_SEEN_IN_TRAINING": 4}
 
 
 def test_the_table_names_predictors_groups_and_the_worst_tiles(runner, pairs, model):

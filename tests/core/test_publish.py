@@ -48,6 +48,11 @@ def test_a_file_found_wanting_is_not_published(tmp_path):
 def test_a_full_disk_is_an_error_that_names_the_file(tmp_path):
     with pytest.raises(OutputError, match="MB free") as caught, publish(tmp_path / "a.txt"):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert "make room" in str(caught.value)
+    with pytest.raises(OutputError) as forbidden, publish(tmp_path / "a.txt"):
+        raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+    assert "make room" not in str(forbidden.value)
+    assert "that can be written to" in str(forbidden.value)
     assert caught.value.exit_code == 74
     assert "a.txt" in str(caught.value)
 

@@ -96,9 +96,11 @@ def test_an_assumed_crs_serves_where_none_fits_and_never_else(tmp_path):
     assert (grid.crs.to_epsg(), codes) == (32611, {"W_CRS_ASSUMED"})
     right = write_raster(tmp_path / "right.tif", colours())
     grid, codes = placed(right, "EPSG:2056")
-    assert (grid.crs.to_epsg(), codes) == (32611, set())
-    with pytest.raises(CrsError, match="--assume-crs"):
-        placed(bare, "nonsense")
+    assert (grid.crs.to_epsg(), codes) == (32611, {"W_CRS_KEPT"})
+    assert placed(right, UTM)[1] == set()
+    for path in (bare, right):
+        with pytest.raises(CrsError, match="--assume-crs"):
+            placed(path, "nonsense")
 
 
 def test_feet_and_metres_of_the_same_ground_agree(tmp_path):

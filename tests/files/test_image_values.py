@@ -49,6 +49,23 @@ def test_raw_counts_put_their_percentiles_where_photographs_have_them(low, high,
     assert (first, last) == pytest.approx((32, 205), abs=0.5)
 
 
+@pytest.mark.parametrize("dtype", [np.uint16, np.int16, np.int32, np.float32])
+def test_bytes_in_a_wider_type_are_taken_as_they_are(dtype):
+    dark = np.arange(20, 90).astype(dtype)
+    assert find_range(np.dtype(dtype).name, dark) == (0.0, 255.0)
+    assert find_range(np.dtype(dtype).name, np.append(dark, dark.dtype.type(256))) != (0.0, 255.0)
+    if dark.dtype.kind == "f":
+        assert find_range("float32", dark / 2) != (0.0, 255.0)
+
+
+@pytest.mark.parametrize("step", [16, 256, 257])
+def test_bytes_that_were_multiplied_keep_the_range_of_bytes(step):
+    dark = np.arange(20, 90).astype(np.uint16) * np.uint16(step)
+    assert find_range("uint16", dark) == (0.0, 255.0 * step)
+    dark[3] += 1
+    assert find_range("uint16", dark) != (0.0, 255.0 * step)
+
+
 def test_bytes_are_never_stretched_and_empty_or_flat_images_have_a_range():
     assert find_range("uint8", np.arange(100, 110, dtype=np.uint8)) == (0.0, 255.0)
     assert find_range("uint16", np.zeros(0, np.uint16)) == (0.0, 255.0)

@@ -136,6 +136,13 @@ def test_one_band_is_gray(tmp_path):
     assert not read_all(path, georeferenced=False)[2]
 
 
+def test_gray_kept_as_three_bands_is_told_too(tmp_path):
+    values = colours(bands=1)[[0, 0, 0]]
+    assert "W_GRAY" in read_all(write_raster(tmp_path / "a.tif", values))[2]
+    values[2, 0, 0] ^= 1
+    assert "W_GRAY" not in read_all(write_raster(tmp_path / "b.tif", values))[2]
+
+
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 def test_white_is_zero_where_the_file_says_so(tmp_path, dtype):
     values = colours(bands=1).astype(dtype) * np.array(257 if dtype == "uint16" else 1, dtype)
@@ -240,7 +247,7 @@ def test_no_near_infrared_is_told(tmp_path):
 
 DEEP = {
     "16 bits full": (np.uint16, 257, 65535.0),
-    "12 bits full": (np.uint16, 16, 4095.0),
+    "12 bits full": (np.uint16, 16, 4080.0),
     "8 bits in 16": (np.uint16, 1, 255.0),
     "8 bits in floats": (np.float32, 1, 255.0),
     "0 to 1": (np.float64, 1 / 255, 1.0),
@@ -456,3 +463,15 @@ def test_zurich_pairs_are_images_with_a_place_and_masks_without(real_data):
             values = mask.read_values(0, 0, mask.height_px, mask.width_px)
             assert mask.grid is None
             assert set(np.unique(values)) <= {0, 1, 255}
+
+
+@pytest.mark.parametrize("edge", range(4))
+def test_a_narrow_black_collar_is_missing_and_a_dark_roof_is_not(tmp_path, edge):
+    values = colours(200, 220)
+    inside = [np.s_[:, :20], np.s_[:, -20:], np.s_[:, :, :20], np.s_[:, :, -20:]][edge]
+    values[:, 90:120, 90:120] = 0
+    assert read_all(write_raster(tmp_path / "roof.tif", values, meanings="rgb"))[1].all()
+    values[inside] = 0
+    _, valid, codes, _ = read_all(write_raster(tmp_path / "collar.tif", values, meanings="rgb"))
+    assert codes == {"W_BLACK"}
+    assert not valid[inside[1:]].any()

@@ -90,6 +90,24 @@ def test_parts_of_sixteen_bits_get_one_range(tmp_path):
     assert np.corrcoef(np.clip(seen, 1, 254), meant)[0, 1] > 0.99
 
 
+def test_parts_of_several_types_keep_their_own_range(tmp_path):
+    values = colours(20, 80)
+    deep, reals = values.astype(np.uint16) * 9, values.astype(np.float32) / 255
+    paths = [
+        part(tmp_path / "0.tif", values, 0, 0, 20, 20),
+        part(tmp_path / "1.tif", deep, 0, 20, 20, 20),
+        part(tmp_path / "2.tif", deep // 4, 0, 40, 20, 20),
+        part(tmp_path / "3.tif", reals, 0, 60, 20, 20),
+    ]
+    rgb, _, _, notices = read_all(paths)
+    assert np.array_equal(rgb[:, :, :20], values[:, :, :20])
+    assert np.array_equal(rgb[:, :, 60:], values[:, :, 60:])
+    assert np.array_equal(rgb[:, :, 20:60], read_all(paths[1:3])[0])
+    assert notices.count("W_MOSAIC_TYPES") == notices.count("W_MOSAIC_STRETCH") == 1
+    rgb = read_all(paths[:2], stretch=(0, 255 * 9))[0]
+    assert np.array_equal(rgb, values[:, :, :40])
+
+
 @pytest.mark.parametrize(
     ("grid", "what"),
     [
@@ -122,8 +140,9 @@ def test_images_at_two_ends_of_the_zone_are_too_much(tmp_path):
 def test_a_folder_stands_for_its_images_by_name(tmp_path):
     for name in ("b.TIF", "a.png", ".hidden.tif", "notes.txt", "out.tif"):
         (tmp_path / name).touch()
-    assert [path.name for path in images_of(tmp_path, but=(tmp_path / "out.tif", None))] == ["a.png", "b.TIF"]
-    assert images_of(tmp_path / "b.TIF") == [tmp_path / "b.TIF"]
+    found = images_of(tmp_path, but=(tmp_path / "out.tif", None), notices=Notices())
+    assert [path.name for path in found] == ["a.png", "b.TIF"]
+    assert images_of(tmp_path / "b.TIF", notices=Notices()) == [tmp_path / "b.TIF"]
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no images"):
-        images_of(tmp_path / "empty")
+        images_of(tmp_path / "empty", notices=Notices())

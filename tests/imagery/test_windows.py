@@ -68,6 +68,8 @@ def test_parts_of_a_raster_know_which_of_its_pixels_they_have():
 
 
 def test_halos_are_whole_steps_and_one_more_where_pixels_are_not_cells():
+    square = plane_of((100, 100), (0, 0), (0.5405, 0.5375), cell_m=0.6, multiple_px=32, halo_px=40)
+    assert square.rows.ratio == square.cols.ratio
     plane = plane_of((100, 100), (0, 0), (0.6, 0.3), cell_m=0.6, multiple_px=32, halo_px=40)
     assert (plane.cols.ratio, plane.cols.halo, plane.rows.ratio, plane.rows.halo) == (1, 64, 2, 96)
     assert plane_of((9, 9), (0, 0), (0.3, 0.3), cell_m=0.6, multiple_px=4, halo_px=0).rows.halo == 4

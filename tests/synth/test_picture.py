@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from urbanforest_cli.core.config import Species
-from urbanforest_cli.core.errors import LimitError, OutputExistsError
+from urbanforest_cli.core.errors import ConfigError, LimitError, OutputExistsError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.files.coverage import open_coverage
 from urbanforest_cli.files.species import load_catalogue
@@ -248,6 +248,23 @@ def test_pictures_that_cannot_be_are_refused_before_anything_is_written(tmp_path
     assert not (tmp_path / "t.gpkg").exists()
     with pytest.raises(LimitError, match="too large"):
         lay_grid(scene, 0.001, CRS.from_epsg(32633), (0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("city", "image"), [("t.tif", "t.tif"), ("t_coverage.tif", "t.tif"), ("t_coverage.tif", "inner/../t.tif")]
+)
+def test_city_and_picture_need_names_of_their_own(tmp_path: Path, city: str, image: str) -> None:
+    (tmp_path / "inner").mkdir()
+    with pytest.raises(OutputExistsError, match="names of their own"):
+        make_city(tmp_path / city, lot_count=10, seed=1, picture=PictureSettings(path=tmp_path / image), overwrite=True)
+    assert not (tmp_path / city).exists()
+
+
+@pytest.mark.parametrize("name", ["t.png", "t.gpkg", "t"])
+def test_a_picture_of_another_ending_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ConfigError, match=r"ends in \.tif"):
+        make_city(tmp_path / "t.gpkg", lot_count=10, seed=1, picture=PictureSettings(path=tmp_path / name))
+    assert not (tmp_path / "t.gpkg").exists()
 
 
 def test_the_command_takes_a_picture(tmp_path: Path, runner: Callable[..., Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import sys
 import time
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 LOG_EVERY_S = 30.0
+LONG_S = 5.0
+"""What a task takes at least for its end to be told."""
 DECIDED_BY = (("diffuse", ("context",)), ("place", ("placement", "species")), ("grow", ("growth",)))
 """Which stage's record tells which sections of the config a register was made with, beside those of `stencil`."""
 
@@ -109,7 +112,9 @@ def city_and_layer(city: Path, lots_layer: str | None) -> tuple[Path, str | None
 
 
 def refuse_inside_out(bbox: tuple[float, float, float, float] | None) -> None:
-    """Refuse a box whose edges are not west, south, east, north."""
+    """Refuse a box whose edges are not west, south, east, north, or lie nowhere."""
+    if bbox is not None and not all(map(math.isfinite, bbox)):
+        raise click.UsageError("--bbox takes four finite numbers: west south east north.")
     if bbox is not None and not (bbox[0] < bbox[2] and bbox[1] < bbox[3]):
         raise click.UsageError("--bbox takes west south east north: west must be below east, south below north.")
 
@@ -198,9 +203,10 @@ def _bar() -> Iterator[Progress]:
 
 
 class _LogLines:
-    """One line when a task begins, one when it ends, and one every half minute between."""
+    """One line when a task begins, one every half minute, and one when a task that took its time ends."""
 
     def __init__(self) -> None:
+        self._begun: dict[str, float] = {}
         self._last: dict[str, float] = {}
 
     def __call__(self, task: str, done: int, total: int) -> None:
@@ -208,8 +214,12 @@ class _LogLines:
         if task not in self._last or done >= total or now - self._last[task] >= LOG_EVERY_S:
             if self._last.get(task) == float("inf"):
                 return
-            share = f" {done}/{total}" if total > 1 else ""
-            click.echo(f"{task}{share}" + (" done" if done >= total else ""), err=True)
+            took_s = now - self._begun.setdefault(task, now)
+            share = f" {done} of {total}" if done and total > 1 else ""
+            if done < total:
+                click.echo(f"{task}{share} ...", err=True)
+            elif took_s >= LONG_S:
+                click.echo(f"{task} done in {took_s:.0f} s", err=True)
             self._last[task] = float("inf") if done >= total else now
 
 
@@ -225,7 +235,7 @@ def tell(summaries: Iterable[StageSummary], as_json: bool) -> None:
     for summary in summaries:
         state = "up to date" if summary.up_to_date else f"{summary.seconds:.1f} s"
         counts = ", ".join(f"{_number(value)} {name.replace('_', ' ')}" for name, value in summary.counts.items())
-        click.echo(f"{summary.stage:<9} {state:>10}  {counts}")
+        click.echo(f"{summary.stage:<9} {state:>10}  {summary.sentence or counts}")
         for notice in summary.notices:
             click.echo(f"  warning: {notice.line()}", err=True)
 

@@ -127,14 +127,18 @@ def write_text(path: Path, text: str) -> None:
 def output_error(path: Path, error: OSError) -> OutputError:
     """Turn an operating system's refusal into a message with the space left."""
     found = error.strerror or str(error)
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    if full:
         with contextlib.suppress(OSError):
             found += f"; {shutil.disk_usage(path.parent).free / 1e6:.1f} MB free"
     return OutputError(
         "the output could not be written; what stood there before is untouched",
         where=path,
         found=found,
-        next_step="make room or name another folder with -o, then run the same command again",
+        next_step=(
+            "make room or name another folder with -o" if full else "name a folder with -o that can be written to"
+        )
+        + ", then run the same command again",
     )
 
 

@@ -10,7 +10,15 @@ from urbanforest_cli.core.notices import Notices
 
 @dataclass
 class StageSummary:
-    """Counts, warnings and files of one stage."""
+    """Counts, warnings and files of one stage.
+
+    Parameters
+    ----------
+    unknown
+        Counts that cannot be told: null in JSON.
+    sentence
+        What a user reads in place of the counts; made of their names where it is empty.
+    """
 
     stage: str
     output: Path
@@ -18,6 +26,8 @@ class StageSummary:
     notices: Notices = field(default_factory=Notices)
     seconds: float = 0.0
     up_to_date: bool = False
+    unknown: tuple[str, ...] = ()
+    sentence: str = ""
 
     def as_record(self) -> dict[str, object]:
         """Return the summary for ``--json``."""
@@ -26,6 +36,6 @@ class StageSummary:
             "output": str(self.output),
             "up_to_date": self.up_to_date,
             "seconds": round(self.seconds, 3),
-            "counts": dict(self.counts),
+            "counts": {**self.counts, **dict.fromkeys(self.unknown)},
             "warnings": self.notices.as_records(),
         }

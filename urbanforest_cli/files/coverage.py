@@ -26,11 +26,13 @@ from urbanforest_cli.files.image_checks import open_raster, reader_errors
 from urbanforest_cli.files.image_places import raster_grid
 
 TAG = "urbanforest"
+FORMAT = "cover"
+"""What maps and their pictures call themselves in the tag."""
 UNIT = "percent"
 BLOCK_PX = 512
 CACHE_BYTES = 64 << 20
 MASK = 255
-STRIP_PX = 4 << 20
+WINDOW_PX = 4 << 20
 """Pixels read at once when a whole file is looked through."""
 
 
@@ -130,10 +132,11 @@ class CoverageWriter:
         with _writing(self.path), rasterio.open(part, driver="GTiff") as file:
             whole = (file.height, file.width, file.count) == (self.grid.height_px, self.grid.width_px, len(rows))
             whole &= file.tags().get(TAG) == self._provenance
-            for window in strips(file.height, file.width) if whole else ():
-                values = file.read(window=Window(0, window.start, file.width, len(window)))
-                rows[:, window.start : window.stop] = values.sum(axis=2, dtype=np.int64)
-                cols += values.sum(axis=1, dtype=np.int64)
+            for window in windows(file.height, file.width) if whole else ():
+                values = file.read(window=window)
+                (top, bottom), (left, right) = window.toranges()
+                rows[:, top:bottom] += values.sum(axis=2, dtype=np.int64)
+                cols[:, left:right] += values.sum(axis=1, dtype=np.int64)
         if not whole or (rows != self._rows).any() or (cols != self._cols).any():
             raise OutputError("the map was not written whole; what stood there before is untouched", where=self.path,
                               next_step="make room or name another folder with -o, then run again")  # fmt: skip
@@ -162,6 +165,8 @@ class CoverageReader:
     _percent: float
     """What a value is multiplied with to be a percentage."""
     _south_up: bool
+    _tagged: bool
+    """Whether the value that the file calls missing is."""
 
     def read(self, row: int, col: int, height_px: int, width_px: int) -> NDArray[np.uint8]:
         """Return (class, row, col) percentages of a window inside the map, 255 where unknown.
@@ -172,7 +177,7 @@ class CoverageReader:
             The file is damaged.
         """
         first = self.grid.height_px - row - height_px if self._south_up else row
-        values, known = _read(self._file, self._bands, Window(col, first, width_px, height_px), self.path)
+        values, known = _read(self._file, self._bands, Window(col, first, width_px, height_px), self.path, self._tagged)
         percent = np.where(known, np.rint(np.where(known, values, 0) * self._percent), UNKNOWN).astype(np.uint8)
         return percent[:, ::-1] if self._south_up else percent
 
@@ -194,10 +199,22 @@ def open_coverage(path: Path, *, assume_crs: str | None = None, notices: Notices
         bands = _bands_by_class(file, path, notices)
         with reader_errors(path):
             text = file.tags().get(TAG)
-        percent = 1.0 if text else _factor(file, tuple(bands.values()), path, notices)
+        tagged = bool(text) or _means_missing(file, tuple(bands.values()), path, notices)
+        percent = 1.0 if text else _factor(file, tuple(bands.values()), path, notices, tagged)
         yield CoverageReader(
-            path, grid, tuple(bands), _record(text), file, tuple(bands.values()), percent, south_up
+            path, grid, tuple(bands), _record(text), file, tuple(bands.values()), percent, south_up, tagged
         )  # fmt: skip
+
+
+def is_coverage(path: Path) -> bool:
+    """Tell whether a file is a map of coverage, by what its bands are called, or a picture of one of this program."""
+    try:
+        with open_raster(path, Notices()) as (file, _), reader_errors(path):
+            names = {(name or "").strip().lower() for name in file.descriptions}
+            made_by = _record(file.tags().get(TAG)) or {}
+    except InputError:
+        return False  # nothing is known of it; whoever reads it says why
+    return bool(names & set(CLASSES)) or made_by.get("format") == FORMAT
 
 
 def _record(text: str | None) -> dict[str, Any] | None:
@@ -225,11 +242,29 @@ def _bands_by_class(file: Any, path: Path, notices: Notices) -> dict[str, int]:
     return {CANOPY: plain[0]}
 
 
-def _factor(file: Any, bands: tuple[int, ...], path: Path, notices: Notices) -> float:
+def _means_missing(file: Any, bands: tuple[int, ...], path: Path, notices: Notices) -> bool:
+    """Tell whether what a foreign map calls missing is: 0 is bare ground, and 255 covered in a mask of 0 and 255."""
+    nodata = file.nodatavals[bands[0] - 1]
+    if nodata not in (0, MASK) or (nodata == MASK and file.units[bands[0] - 1] == UNIT):
+        return True
+    if nodata == MASK:
+        found: set[float] = set()
+        for window in windows(file.height, file.width):
+            found |= set(np.unique(_read(file, bands, window, path, tagged=False)[0]).tolist())
+            if not found <= {0, MASK}:
+                return True
+        if found != {0, MASK}:
+            return True
+    notices.add("W_COVERAGE_NODATA", "maps whose missing value is a value of coverage, read as coverage", 1,
+                [f"{path.name} {nodata:g}"])  # fmt: skip
+    return False
+
+
+def _factor(file: Any, bands: tuple[int, ...], path: Path, notices: Notices, tagged: bool) -> float:
     """Look through a map that does not say what its values are; return what makes them percentages."""
     low, high, between, broken, some = np.inf, -np.inf, False, False, False
-    for rows in strips(file.height, file.width):
-        values, known = _read(file, bands, Window(0, rows.start, file.width, len(rows)), path)
+    for window in windows(file.height, file.width):
+        values, known = _read(file, bands, window, path, tagged)
         values = values[known]
         if values.size:
             low, high, some = min(low, values.min()), max(high, values.max()), True
@@ -252,18 +287,24 @@ def _factor(file: Any, bands: tuple[int, ...], path: Path, notices: Notices) -> 
     return 1.0
 
 
-def _read(file: Any, bands: tuple[int, ...], window: Window, path: Path) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _read(
+    file: Any, bands: tuple[int, ...], window: Window, path: Path, tagged: bool
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     with reader_errors(path):
         values = file.read(list(bands), window=window)
-        known = file.read_masks(list(bands), window=window) != 0
+        known = np.ones(values.shape, bool)
+        if tagged or not any(flag.name == "nodata" for flag in file.mask_flag_enums[bands[0] - 1]):
+            known = file.read_masks(list(bands), window=window) != 0
     return values, known & np.isfinite(values) if values.dtype.kind == "f" else known
 
 
-def strips(height_px: int, width_px: int) -> Iterator[range]:
-    """Yield the rows of a raster in strips of whole blocks, a few megapixels each."""
-    rows = max(STRIP_PX // width_px // BLOCK_PX, 1) * BLOCK_PX
-    for start in range(0, height_px, rows):
-        yield range(start, min(start + rows, height_px))
+def windows(height_px: int, width_px: int) -> Iterator[Window]:
+    """Yield windows of whole blocks, a few megapixels each, that make up a raster: row by row, however wide it is."""
+    cols = min(-(-width_px // BLOCK_PX), WINDOW_PX // BLOCK_PX**2) * BLOCK_PX
+    rows = max(WINDOW_PX // cols // BLOCK_PX, 1) * BLOCK_PX
+    for row in range(0, height_px, rows):
+        for col in range(0, width_px, cols):
+            yield Window(col, row, min(cols, width_px - col), min(rows, height_px - row))
 
 
 @contextmanager

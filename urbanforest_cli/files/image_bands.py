@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from urbanforest_cli.core.errors import ConfigError, InputError
 from urbanforest_cli.core.notices import Notices
 
+GRAY = "image files without colour, gray taken as red, green and blue: plants are told by colour, so trust little"
 _NIR_WORDS = ("nir", "near infrared", "near-infrared", "nearinfrared", "infrared", "b8", "b08")
 _COLOUR_WORDS = {
     "red": ("red", "r", "b4", "b04"),
@@ -151,7 +152,7 @@ def _colours(
                     "and blue", 1, [path.name])  # fmt: skip
         return usable[0], usable[1], usable[2]
     if not paletted:
-        notices.add("W_GRAY", "image files without colour, gray taken as red, green and blue", 1, [path.name])
+        notices.add("W_GRAY", GRAY, 1, [path.name])
     return usable[0], usable[0], usable[0]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +112,8 @@ def _mask_of(image: Image, side_by_side: bool) -> Path:
 @contextmanager
 def _open_mask(path: Path) -> Iterator[ImageReader]:
     with open_image(path, stretch=(0.0, 255.0), georeferenced=False, notices=Notices()) as reader:
+        if reader.traits.nodata == 0 or (reader.traits.nodata == 255 and reader.traits.palette is None):
+            reader.traits = replace(reader.traits, nodata=None)  # bare or covered ground, whatever the tag calls it
         yield reader
 
 
@@ -189,7 +191,7 @@ def _values(mask: ImageReader, window: tuple[int, int, int, int]) -> NDArray[Any
     values = mask.read_values(*window)
     if traits.alpha is not None:
         values = np.delete(values, traits.alpha - 1, axis=0)
-    if traits.nodata not in (None, 0.0, 255.0):
+    if traits.nodata is not None:
         values = np.where(values == traits.nodata, np.nan, values.astype(np.float64))
     return values
 

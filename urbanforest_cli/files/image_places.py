@@ -96,9 +96,13 @@ def _crs(
     notices: Notices,
 ) -> CRS:
     stated = crs_of(dataset.crs.to_wkt(), str(path)) if dataset.crs else None
-    if assume_crs is not None and (stated is None or not _may_hold(stated, bounds)):
-        stated = crs_of(assume_crs, "--assume-crs")
+    assumed = crs_of(assume_crs, "--assume-crs") if assume_crs is not None else None
+    if assumed is not None and (stated is None or not _may_hold(stated, bounds)):
+        stated = assumed
         notices.add("W_CRS_ASSUMED", "files read in the CRS assumed for them", 1, [path.name])
+    elif assumed is not None and stated is not None and not assumed.equals(stated, ignore_axis_order=True):
+        notices.add("W_CRS_KEPT", "files that state a CRS and were read in that, not in the one of --assume-crs", 1,
+                    [f"{path.name} in {stated.name}"])  # fmt: skip
     if stated is None:
         raise CrsError("no coordinate reference system", where=path, expected="a CRS in the file, or a .prj beside it",
                        next_step=_ASSUME)  # fmt: skip

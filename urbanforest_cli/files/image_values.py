@@ -15,6 +15,8 @@ ALPHA_SHARE_LEAST = 0.5
 """A band that calls itself alpha is one when at least this share of pixels is fully clear or fully opaque."""
 FILLS_FROM, FILLS_TO = 0.25, 0.6
 """Numbers use a whole range, as finished pictures do, when their 1st and 99th percentile reach these shares of it."""
+BYTE_STEPS = (1, 16, 256, 257)
+"""What pictures of 8 bits are multiplied with to be ones of 12 or 16."""
 FULL_RANGES = (1.0, 255.0, 1023.0, 2047.0, 4095.0, 16383.0, 65535.0)
 """The highest number of a float, and of 8, 10, 11, 12, 14 and 16 bits."""
 NATURAL_LOW, NATURAL_HIGH = 32.0, 205.0
@@ -105,9 +107,10 @@ def check_alpha(traits: ImageTraits, colours: NDArray[Any], alpha: NDArray[Any])
 def find_range(dtype: str, colours: NDArray[Any]) -> tuple[float, float]:
     """Choose the samples that become 0 and 255, the same for all three colours, so that their balance stays.
 
-    Whole numbers of 8 bits are taken as they are. Others that fill a range, as a finished picture does, are scaled by
-    that; the rest (raw counts of a sensor, reflectances) are stretched so that their 1st and 99th percentile come to
-    lie where those of aerial photographs are.
+    Whole numbers from 0 to 255 are taken as they are, in whatever type they are kept, and multiples of them as what
+    they are of. Others that fill a range, as a finished picture does, are scaled by that; the rest (raw counts of a
+    sensor, reflectances) are stretched so that their 1st and 99th percentile come to lie where those of aerial
+    photographs are.
 
     Parameters
     ----------
@@ -118,6 +121,9 @@ def find_range(dtype: str, colours: NDArray[Any]) -> tuple[float, float]:
         return 0.0, 255.0
     low, high = (float(value) for value in np.percentile(colours.astype(np.float64), (1, 99)))
     least, most = float(colours.min()), float(colours.max())
+    for step in BYTE_STEPS:
+        if least >= 0 and step < most <= 255 * step and not np.fmod(colours, colours.dtype.type(step)).any():
+            return 0.0, 255.0 * step
     for full in FULL_RANGES if colours.dtype.kind == "f" else FULL_RANGES[1:]:
         if least >= 0 and most <= full * 1.001 and low <= FILLS_FROM * full and high >= FILLS_TO * full:
             return 0.0, full

@@ -16,7 +16,7 @@ from rasterio.windows import Window
 from urbanforest_cli.core.errors import ConfigError, InputError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.raster_grid import RasterGrid
-from urbanforest_cli.files.image_bands import ImageTraits, find_bands
+from urbanforest_cli.files.image_bands import GRAY, ImageTraits, find_bands
 from urbanforest_cli.files.image_checks import open_raster, reader_errors
 from urbanforest_cli.files.image_places import raster_grid
 from urbanforest_cli.files.image_values import check_alpha, find_range, painted, scaled, valid_pixels
@@ -224,13 +224,21 @@ def _settled(
     valid = look.unmasked & valid_pixels(look.colours, look.alpha if traits.alpha else None, traits)
     if imagery and not valid.any():
         notices.add("W_ALL_MISSING", "image files without a pixel in all places looked at", 1, name)
+    if imagery and not traits.gray and traits.palette is None:
+        notices.add("W_GRAY", GRAY, int(_is_gray(look.colours[:, valid])), name)
     low, high = stretch or (
         (0.0, 255.0) if traits.palette is not None else find_range(traits.dtype, look.colours[:, valid].ravel())
     )
     if stretch is None and (low, high) != (0.0, 255.0):
-        notices.add("W_STRETCHED", "image files of more than 8 bits, their range chosen from their pixels", 1,
+        notices.add("W_STRETCHED", "image files of more than 8 bits whose range, on which the result hangs, was chosen "
+                    "from their pixels for want of --stretch", 1,
                     [f"{reader.path.name} {low:g} to {high:g}"])  # fmt: skip
     return replace(traits, low=low, high=high)
+
+
+def _is_gray(colours: NDArray[Any]) -> bool:
+    """Tell whether (3, n) samples of three bands are one picture thrice; nothing is told of a picture of one tone."""
+    return colours.shape[1] > 1 and bool(np.ptp(colours[0]) > 0 and (colours == colours[0]).all())
 
 
 def _look(reader: ImageReader) -> _Look:
@@ -242,13 +250,21 @@ def _look(reader: ImageReader) -> _Look:
         for col in cols:
             window = Window(col, row, col_px, row_px)
             samples, alpha = reader.colours(window)
-            black |= min(row_px, col_px) >= BLACK_LEAST_PX and not samples.any()
+            looks = [samples, *_collar(samples, (row == rows[0], row == rows[-1], col == cols[0], col == cols[-1]))]
+            black |= min(row_px, col_px) >= BLACK_LEAST_PX and not all(look.any() for look in looks)
             colours.append(samples.reshape(3, -1))
             if alpha is not None:
                 alphas.append(alpha.ravel())
             masks.append(reader.mask(window).ravel() if reader.traits.masked else np.ones(row_px * col_px, dtype=bool))
     together = np.concatenate(alphas) if alphas else None
     return _Look(np.concatenate(colours, axis=1), together, np.concatenate(masks), black)
+
+
+def _collar(samples: NDArray[Any], at: tuple[bool, bool, bool, bool]) -> list[NDArray[Any]]:
+    """Return the outermost parts of a look, (band, row, col), at those edges of the image that it lies at."""
+    px = BLACK_LEAST_PX
+    edges = samples[:, :px], samples[:, -px:], samples[:, :, :px], samples[:, :, -px:]
+    return [edge for edge, there in zip(edges, at, strict=True) if there]
 
 
 def _look_starts(side_px: int) -> tuple[list[int], int]:

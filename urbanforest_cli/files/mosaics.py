@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from urbanforest_cli.core.errors import InputError, LimitError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.raster_grid import RasterGrid
+from urbanforest_cli.files.coverage import is_coverage
 from urbanforest_cli.files.image_bands import ImageTraits
 from urbanforest_cli.files.image_checks import PIXELS_MOST, SIDE_MOST_PX
 from urbanforest_cli.files.images import ImageReader, open_image
@@ -23,9 +24,11 @@ SUFFIXES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".jp2", ".j2k")
 """Names of a folder's files that are taken for images."""
 OPEN_MOST = 64
 """Images held open at once."""
+AS_THEY_ARE = (0.0, 255.0)
 SHIFT_TOLD_PX = 0.05
 DRIFT_MOST_PX = 0.5
 """How far the pixels of an image may come away from those of the first along its whole length."""
+Range = tuple[float, float]
 NEXT_STEP = "bring all to one grid first: gdalwarp -t_srs EPSG:... -tr WIDTH HEIGHT -tap IN OUT.tif"
 
 
@@ -109,7 +112,8 @@ def _check_alike(first: RasterGrid, first_name: str, grid: RasterGrid, name: str
 class _Reading:
     bands: tuple[int, ...] | None
     assume_crs: str | None
-    stretch: tuple[float, float] | None
+    stretches: tuple[Range | None, ...]
+    """Of each image; None where its own pixels decide."""
 
 
 class MosaicReader:
@@ -182,7 +186,7 @@ class MosaicReader:
                 reader = stack.enter_context(
                     open_image(
                         self.paths[index], bands=reading.bands, assume_crs=reading.assume_crs,
-                        stretch=reading.stretch, notices=heard,
+                        stretch=reading.stretches[index], notices=heard,
                     )
                 )  # fmt: skip
                 self._open[index] = stack.pop_all(), reader
@@ -205,12 +209,13 @@ def open_mosaic(
     *,
     bands: tuple[int, ...] | None = None,
     assume_crs: str | None = None,
-    stretch: tuple[float, float] | None = None,
+    stretch: Range | None = None,
     notices: Notices,
 ) -> Iterator[MosaicReader]:
     """Open one image or several as one; options are those of `images.open_image`.
 
-    Where samples of more than 8 bits are stretched, all images get the widest range that any of them asks for.
+    Images whose samples are stretched get the widest range that any of their type asks for. Those of 8 bits are taken
+    as they are beside others of more, whatever the stretch.
 
     Raises
     ------
@@ -219,32 +224,61 @@ def open_mosaic(
     """
     with ExitStack() as stack:
         stack.enter_context(rasterio.Env())  # around those of the single files, which end in no certain order
-        reader = stack.enter_context(closing(MosaicReader(paths, _Reading(bands, assume_crs, stretch), notices)))
-        ranges = {(traits.low, traits.high) for traits in reader.traits if traits.stretched}
-        if len(ranges) > 1:
+        first = _Reading(bands, assume_crs, (stretch,) * len(paths))
+        reader = stack.enter_context(closing(MosaicReader(paths, first, notices)))
+        settled = _settled(reader.traits, stretch, notices)
+        if any(
+            (traits.low, traits.high) != (wanted or AS_THEY_ARE)
+            for traits, wanted in zip(reader.traits, settled, strict=True)
+        ):
             reader.close()
-            widest = min(low for low, _ in ranges), max(high for _, high in ranges)
-            notices.add("W_MOSAIC_STRETCH", "mosaics whose images got one range of samples for all", 1,
-                        [f"{widest[0]:g} to {widest[1]:g}"])  # fmt: skip
-            reader = stack.enter_context(closing(MosaicReader(paths, _Reading(bands, assume_crs, widest), Notices())))
+            second = _Reading(bands, assume_crs, settled)
+            reader = stack.enter_context(closing(MosaicReader(paths, second, Notices())))
         yield reader
 
 
-def images_of(path: Path, *, but: Sequence[Path | None] = ()) -> list[Path]:
-    """Return the images a path stands for: itself, or those of a folder by name, hidden ones and `but` left out.
+def _settled(traits: Sequence[ImageTraits], stretch: Range | None, notices: Notices) -> tuple[Range | None, ...]:
+    """Return which samples of each image become black and white; None for those taken as they are."""
+    types = sorted({one.dtype for one in traits})
+    notices.add("W_MOSAIC_TYPES", "mosaics of images of several types of samples, each type scaled by itself",
+                int(len(types) > 1), [", ".join(types)])  # fmt: skip
+    if stretch is not None:
+        return tuple(None if one.dtype == "uint8" and len(types) > 1 else stretch for one in traits)
+    widest: dict[str, Range] = {}
+    for dtype in types:
+        ranges = {(one.low, one.high) for one in traits if one.dtype == dtype and one.stretched}
+        if ranges:
+            widest[dtype] = min(low for low, _ in ranges), max(high for _, high in ranges)
+        notices.add("W_MOSAIC_STRETCH", "mosaics whose images got one range of samples for all", int(len(ranges) > 1),
+                    [f"{dtype} {low:g} to {high:g}" for low, high in [widest.get(dtype, AS_THEY_ARE)]])  # fmt: skip
+    return tuple(widest.get(one.dtype) for one in traits)
+
+
+def images_of(path: Path, *, but: Sequence[Path | None] = (), notices: Notices) -> list[Path]:
+    """Return the images a path stands for: itself, or those of a folder by name.
+
+    Of a folder, hidden files, `but`, and maps of coverage with their pictures are left out.
 
     Raises
     ------
     InputError
-        A folder without images.
+        A folder without images, or a map of coverage in place of an image.
     """
     if not path.is_dir():
+        if is_coverage(path):
+            raise InputError(
+                "a map of coverage, no image", where=path, expected="the image that it was made from",
+                next_step="name the image",
+            )  # fmt: skip
         return [path]
     left_out = {other.resolve() for other in but if other is not None}
     found = sorted(
         file for file in path.iterdir()
         if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.resolve() not in left_out
     )  # fmt: skip
+    maps = [file.name for file in found if is_coverage(file)]
+    notices.add("W_MAPS_LEFT_OUT", "maps of coverage in a folder of images, left out", len(maps), maps[:5])
+    found = [file for file in found if file.name not in set(maps)]
     if not found:
         raise InputError("no images in the folder", where=path, expected="files ending in " + ", ".join(SUFFIXES))
     return found

@@ -51,6 +51,7 @@ def map_windows(
     workers: int,
     progress: Progress,
     notices: Notices,
+    where: object = None,
 ) -> Generator[tuple[int, int, NDArray[np.uint8]], None, None]:
     """Map a part of an image.
 
@@ -62,6 +63,8 @@ def map_windows(
         Pixels along a side of a window; chosen by itself by default.
     workers
         Threads that infer.
+    where
+        What messages call the image.
 
     Yields
     ------
@@ -76,7 +79,7 @@ def map_windows(
     """
     info, grid, first = session.info, picture.grid, first_pixel(picture.grid)
     plane = model_plane(info, (grid.height_px, grid.width_px), first, grid.resolution_m)
-    _check_resolution(plane, grid, info, notices)
+    _check_resolution(plane, grid, info, notices, where)
     within = _moved(wanted[0], first[0]), _moved(wanted[1], first[1])
     windows = plane.windows(_core_cells(plane, window_px, info), within)
 
@@ -127,18 +130,19 @@ def _core_cells(plane: Plane, window_px: int | None, info: CoverageModelInfo) ->
     return max(min(core_cells(info), math.floor(WINDOW_MOST_PX / finest)), FINE_CORE_CELLS)
 
 
-def _check_resolution(plane: Plane, grid: RasterGrid, info: CoverageModelInfo, notices: Notices) -> None:
+def _check_resolution(plane: Plane, grid: RasterGrid, info: CoverageModelInfo, notices: Notices, where: object) -> None:
     ratios = (plane.cols.ratio, plane.rows.ratio)
     found = f"pixels of {grid.resolution_m[0]:.3g} x {grid.resolution_m[1]:.3g} m"
     if min(ratios) * COARSEST < 1:
         raise InputError(
-            "the image is too coarse to tell trees in", found=found,
+            "the image is too coarse to tell trees in", where=where, found=found,
             expected=f"at most {COARSEST * info.resolution_m:g} m; the model was trained at {info.resolution_m:g} m",
             next_step="use an image of higher resolution",
         )  # fmt: skip
     if max(ratios) > FINEST:
         raise InputError(
-            "the image is too fine", found=found, expected=f"at least {info.resolution_m / FINEST:.2g} m",
+            "the image is too fine", where=where, found=found,
+            expected=f"at least {info.resolution_m / FINEST:.2g} m",
             next_step="average it first: gdal_translate -r average -outsize 50% 50% IN OUT.tif",
         )  # fmt: skip
     if min(ratios) * COARSE <= 1:

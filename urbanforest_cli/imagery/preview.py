@@ -70,7 +70,7 @@ def draw_preview(
     size_px
         Of the image this was made from; see `panel_size`.
     shares
-        Covered fraction of the known ground by class, for the legend.
+        Covered fraction of the known ground by class, for the legend; empty where nothing is known.
 
     Returns
     -------
@@ -139,8 +139,10 @@ def _legend(page: Image.Image, top: int, classes: tuple[str, ...], shares: Mappi
     low, right = top + FOOT_PX // 2 + 2, page.width - MARGIN_PX
     for name in sorted(classes, key=list(COLOURS).index, reverse=True):
         alone = name == VEGETATION and CANOPY not in classes
-        share = shares[name] - (shares[CANOPY] if name == VEGETATION and not alone else 0)
-        text = f"{VEGETATION if alone else NAMES[name]} {100 * max(share, 0):.0f} %"
+        text = VEGETATION if alone else NAMES[name]
+        if shares:
+            share = shares[name] - (shares[CANOPY] if name == VEGETATION and not alone else 0)
+            text += f" {100 * max(share, 0):.0f} %"
         right -= round(pen.textlength(text, font=font))
         pen.text((right, low), text, fill=INK, font=font, anchor="lm")
         right -= 34

@@ -6,6 +6,7 @@ from one origin for all images of a grid. A value then depends on where on the g
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -16,6 +17,8 @@ WHOLE_TOLERANCE = 0.10
 """How far a whole ratio may be from the true one: a network sees no difference in scale of this size."""
 BROKEN_TOLERANCE = 0.05
 """The same for a ratio of two whole numbers."""
+SQUARE = 1.05
+"""Up to this ratio of its sides a pixel is taken for square, so that both axes are brought to cells alike."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,14 @@ def pixels_per_cell(pixel_m: float, cell_m: float) -> Fraction:
         if abs(pixels / cells / true - 1) <= (WHOLE_TOLERANCE if cells == 1 else BROKEN_TOLERANCE):
             return Fraction(pixels, cells)
     raise AssertionError(f"no ratio near {true}")
+
+
+def pixels_per_cell_of(resolution_m: tuple[float, float], cell_m: float) -> tuple[Fraction, Fraction]:
+    """Return the ratios along rows' and columns' axes, height first, for pixels of some width and height."""
+    width_m, height_m = resolution_m
+    if max(width_m, height_m) <= SQUARE * min(width_m, height_m):
+        width_m = height_m = math.sqrt(width_m * height_m)
+    return pixels_per_cell(height_m, cell_m), pixels_per_cell(width_m, cell_m)
 
 
 def average_taps(ratio: Fraction, targets: range, sources: range, offset: int) -> Taps:

@@ -61,7 +61,8 @@ def cover_image(
     """Map the coverage of an image, or of several as one, into a cloud-optimised GeoTIFF.
 
     Nothing is drawn by chance. The map is the same for any number of workers; for a model whose halo is as wide as it
-    sees, also for any size of windows, and a part of the image gives the same part of the map but for its border.
+    sees, also for any size of windows, and a part of the image gives the same part of the map but for its border, as
+    long as the pixels at its centre measure about as much on the ground: in degrees and Web Mercator they need not.
 
     Parameters
     ----------
@@ -88,7 +89,7 @@ def cover_image(
     started = time.perf_counter()
     options = options or CoverOptions()
     notices = Notices()
-    paths = _distinct([file for path in images for file in images_of(path, but=(output, preview))])
+    paths = _distinct([file for path in images for file in images_of(path, but=(output, preview), notices=notices)])
     _refuse_inputs(paths, output, preview, model)
     made_by = load_coverage_model(model)
     files = [_fingerprint(path, index, len(paths), progress) for index, path in enumerate(paths)]
@@ -102,7 +103,7 @@ def cover_image(
         grid = reader.grid.window(rows.start, cols.start, len(rows), len(cols))
         if not is_made:
             _map(reader, grid, (rows, cols), output, made_by, options, provenance, workers, progress, notices)
-        with open_coverage(output, notices=notices) as coverage:
+        with open_coverage(output, notices=Notices()) as coverage:
             tally = tally_of(coverage)
             notices.add("W_NO_PIXELS", "maps of images without a single pixel, unknown all over", tally.known_px == 0)
             if preview is not None and not is_drawn:
@@ -111,8 +112,27 @@ def cover_image(
         "images": len(paths), "width_px": grid.width_px, "height_px": grid.height_px,
         "resolution_m": round(grid.resolution_m[0], 4),
     }  # fmt: skip
-    counts |= {f"{name}_percent": round(100 * tally.share(name), 2) for name in tally.classes}
-    return StageSummary(STAGE, output, counts, notices, time.perf_counter() - started, is_made and is_drawn)
+    if tally.known_px:
+        counts |= {f"{name}_percent": round(100 * tally.share(name), 2) for name in tally.classes}
+    return StageSummary(
+        STAGE, output, counts, notices, time.perf_counter() - started, is_made and is_drawn,
+        unknown=() if tally.known_px else tuple(f"{name}_percent" for name in tally.classes),
+        sentence=_sentence(len(paths), grid, tally),
+    )  # fmt: skip
+
+
+def _sentence(images: int, grid: RasterGrid, tally: Tally) -> str:
+    """Say what was found, for a user to read."""
+    wide, high = (f"{side_m:.3g}" for side_m in grid.resolution_m)
+    pixels = f"{wide} m" if wide == high else f"{wide} x {high} m"
+    size = f"{grid.width_px:,} x {grid.height_px:,} pixels of {pixels}" + (
+        f" from {images} images" if images > 1 else ""
+    )
+    if not tally.known_px:
+        return f"nothing is known, for the image has no pixels here ({size})"
+    shares = ", ".join(f"{name} {100 * tally.share(name):.2f} %" for name in tally.classes)
+    missing = 100 * (1 - tally.known_px / (grid.width_px * grid.height_px))
+    return f"{shares} of the ground ({size}" + (f", {missing:.3g} % of them missing)" if missing else ")")
 
 
 def _map(
@@ -129,8 +149,9 @@ def _map(
 ) -> None:
     session = CoverageSession(model.content, model.info)
     windows = map_windows(
-        reader, wanted, session, window_px=options.window_px, workers=workers, progress=progress, notices=notices
-    )
+        reader, wanted, session, window_px=options.window_px, workers=workers, progress=progress, notices=notices,
+        where=reader.paths[0],
+    )  # fmt: skip
     with closing(windows), CoverageWriter(output, grid, model.info.classes, provenance) as writer:
         for row, col, values in windows:
             writer.write(row, col, values)
@@ -142,14 +163,21 @@ def _wanted(grid: RasterGrid, bbox: Bounds | None) -> tuple[range, range]:
         return range(grid.height_px), range(grid.width_px)
     a, _, c, _, e, f = grid.transform
     west, south, east, north = bbox
-    cols = range(max(math.floor((west - c) / a), 0), min(math.ceil((east - c) / a), grid.width_px))
-    rows = range(max(math.floor((north - f) / e), 0), min(math.ceil((south - f) / e), grid.height_px))
+    cols = _touched((west - c) / a, (east - c) / a, grid.width_px)
+    rows = _touched((north - f) / e, (south - f) / e, grid.height_px)
     if not rows or not cols:
         raise ConfigError(
             "the box lies beside the image", where="--bbox", found=" ".join(f"{value:.9g}" for value in bbox),
             expected="west south east north within " + " ".join(f"{value:.9g}" for value in grid.bounds),
         )  # fmt: skip
     return rows, cols
+
+
+def _touched(low: float, high: float, count: int) -> range:
+    """Return which of some pixels a stretch of them touches, however far it goes beyond."""
+    if math.isnan(low) or math.isnan(high):
+        return range(0)
+    return range(math.floor(min(max(low, 0), count)), math.ceil(min(max(high, 0), count)))
 
 
 def _distinct(paths: list[Path]) -> list[Path]:
@@ -252,7 +280,7 @@ def _draw(
     png = draw_preview(
         rgb, covers, coverage.classes, width_m=width_m, height_m=height_m,
         size_px=(coverage.grid.height_px, coverage.grid.width_px),
-        shares={name: tally.share(name) for name in coverage.classes}, provenance=provenance,
+        shares={name: tally.share(name) for name in coverage.classes if tally.known_px}, provenance=provenance,
     )  # fmt: skip
     with publish(path) as part:
         part.write_bytes(png)

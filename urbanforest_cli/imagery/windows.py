@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from urbanforest_cli.core.raster_grid import RasterGrid
-from urbanforest_cli.imagery.resampling import Taps, pixels_per_cell, taps
+from urbanforest_cli.imagery.resampling import Taps, pixels_per_cell_of, taps
 
 SNAP = 0.3719
 """Where between two whole numbers an origin is rounded up: at no likely fraction, so that noise decides nothing."""
@@ -159,15 +159,14 @@ def plane_of(
     cell_m, multiple_px, halo_px
         What the network was made for, must be given multiples of, and sees around a block of so many.
     """
-    width_m, height_m = resolution_m
 
-    def axis(first: int, length: int, pixel_m: float) -> Axis:
-        ratio = pixels_per_cell(pixel_m, cell_m)
+    def axis(first: int, length: int, ratio: Fraction) -> Axis:
         # A pixel at the edge of a core leans on cells beyond it, which need their own surroundings.
         beyond = 0 if ratio == 1 else math.ceil(1 / (2 * ratio)) + 1
         return Axis(first, length, ratio, multiple_px, _up(halo_px, multiple_px) + _up(beyond, multiple_px))
 
-    return Plane(axis(first_px[0], size_px[0], height_m), axis(first_px[1], size_px[1], width_m))
+    by_row, by_col = pixels_per_cell_of(resolution_m, cell_m)
+    return Plane(axis(first_px[0], size_px[0], by_row), axis(first_px[1], size_px[1], by_col))
 
 
 def first_pixel(grid: RasterGrid) -> tuple[int, int]:

@@ -84,7 +84,7 @@ def make_city(
     CrsError
         The CRS is unknown, not projected, or not in metres.
     OutputExistsError
-        The file is there already, or the picture.
+        The file is there already, or the picture, or both have one name.
     OutputError
         It could not be written whole.
     """
@@ -99,7 +99,7 @@ def make_city(
     if output.exists() and not overwrite:
         raise OutputExistsError("the file is there already", where=output, next_step="add --overwrite to replace it")
     if picture is not None:
-        picture.check(overwrite=overwrite)
+        picture.check(output, overwrite=overwrite)
     target, place = city_place(crs)
     catalogue = load_catalogue(Species())
     city = build_city(lot_count, seed, catalogue, squares=squares, progress=progress)

@@ -48,6 +48,15 @@ def test_the_threshold_is_a_share_of_the_map_s_percentages():
     assert judged(*scene(), threshold=0.61).total["canopy"].scores["map.tif"].recall == 0
 
 
+@pytest.mark.parametrize("percent", [14, 28, 55, 56, 60])
+def test_a_pixel_of_exactly_the_threshold_is_covered(percent):
+    found, truth = scene()
+    found[found > 0] = percent
+    assert judged(found, truth, threshold=percent / 100).total["canopy"].scores["map.tif"].recall > 0.8
+    found[found > 0] = percent - 1
+    assert judged(found, truth, threshold=percent / 100).total["canopy"].scores["map.tif"].recall == 0
+
+
 def test_what_either_does_not_know_is_left_out():
     found, truth = scene()
     found[0, :, :150] = 255

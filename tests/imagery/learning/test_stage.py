@@ -22,6 +22,7 @@ from urbanforest_cli.imagery.learning.settings import SMALL
 from urbanforest_cli.imagery.learning.stage import CHECKPOINT, train_coverage
 from urbanforest_cli.imagery.learning.story import TrainingRequest
 from urbanforest_cli.imagery.learning.validation import Agreement
+from urbanforest_cli.imagery.pairs import content_of
 
 TINY = replace(SMALL, filters=4, downs=3, crop_px=32, load_px=32, batch=4, epochs=3)
 
@@ -68,6 +69,8 @@ def test_a_training_leaves_a_model_its_figures_and_a_sheet_an_epoch(pairs, reque
     assert info.training["settings"]["epochs"] == 3
     assert info.training["data"]["fingerprint"] == "discs"
     assert info.training["data"]["hold_out"] == ["town_*_5"]
+    shown = {content_of(pairs[index].rgb): name for index, name in enumerate(pairs.names)}
+    assert {shown[one] for one in info.training["data"]["image_hashes"]} == set(pairs.names) - {pairs.names[5]}
     assert info.training["parity_max"] <= 1e-4
     with (request.work / "metrics.csv").open() as stream:
         rows = list(csv.DictReader(stream))
@@ -164,7 +167,11 @@ def test_a_stopped_training_is_not_lost_by_a_second_start(pairs, request_for):
     with pytest.raises(OutputExistsError, match="stopped"):
         train_coverage(request)
     assert (request.work / CHECKPOINT).read_bytes() == before
+    (request.work / "sheets" / "epoch_0009.png").touch()
     assert train_coverage(replace(request, overwrite=True)).counts["epochs"] == 3
+    assert [path.name for path in sorted((request.work / "sheets").iterdir())] == [
+        f"epoch_000{n}.png" for n in (1, 2, 3)
+    ]
 
 
 def test_a_model_that_is_there_is_kept(pairs, request_for):

@@ -75,6 +75,14 @@ def test_masks_of_equal_names_are_the_truth(tmp_path, high, ending):
     assert pair.trees_px is None
 
 
+@pytest.mark.parametrize("bands", [1, 3])
+@pytest.mark.parametrize("nodata", [None, 0, 255])
+def test_bare_and_covered_ground_are_known_whatever_the_mask_calls_missing(tmp_path, bands, nodata):
+    tile(tmp_path / "a.tif")
+    tile(tmp_path / "a_mask.tif", values=np.repeat(disc(255), bands, axis=0), nodata=nodata)
+    np.testing.assert_array_equal(read_pairs(tmp_path, notices=Notices())[0].truth, 100 * disc())
+
+
 def test_masks_beside_images_and_images_without_one(tmp_path):
     tile(tmp_path / "a.tif")
     tile(tmp_path / "a_mask.tif", values=disc())

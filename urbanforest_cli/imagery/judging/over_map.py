@@ -97,7 +97,7 @@ def panels_of(
 
 
 def _least(thresholds: tuple[float, ...]) -> NDArray[np.float64]:
-    return np.array([100 * value for value in thresholds])[:, None, None]
+    return np.array([round(100 * value, 6) for value in thresholds])[:, None, None]  # 100 * 0.55 is more than 55
 
 
 def _within(trees_px: Floats, window: Window) -> Floats:

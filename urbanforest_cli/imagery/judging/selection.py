@@ -4,12 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
+
+import shapely
 
 from urbanforest_cli.core.errors import InputError
 from urbanforest_cli.imagery.pairs import PairSet
-from urbanforest_cli.imagery.splits import fits
+from urbanforest_cli.imagery.splits import fits, places_of
 
 NAMES_SHOWN = 12
+
+
+class PlacedPairs(PairSet, Protocol):
+    """Pairs that say where they lie, and whose images can be told from each other."""
+
+    @property
+    def footprints(self) -> Sequence[shapely.Polygon | None]:
+        """Of each pair, in longitude and latitude; None for one that lies nowhere."""
+
+    def content(self, index: int) -> str:
+        """Return a hash of an image."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +73,38 @@ def select_pairs(pairs: PairSet, groups: Sequence[str], training: Sequence[str],
             next_step="judge less with --group, or name other places with --train",
         )  # fmt: skip
     return Selection(tuple(judged), tuple(kept), tuple(index for index in wanted if pairs.places[index] in places))
+
+
+def unseen(others: PlacedPairs, pairs: PlacedPairs, judged: Sequence[int], *, where: object) -> tuple[int, ...]:
+    """Return which of other pairs baselines may learn from: those of no place and no image that is judged.
+
+    Parameters
+    ----------
+    pairs, judged
+        The set that is judged, and the indices in it.
+    where
+        What messages call the others.
+
+    Raises
+    ------
+    InputError
+        None is left.
+    """
+    shown = [pairs.footprints[index] for index in judged]
+    numbers = [f"{number:09d}" for number in range(len(shown) + len(others))]
+    places = places_of(numbers, [*shown, *others.footprints])
+    seen = set(places[: len(shown)])
+    known = {pairs.content(index) for index in judged}
+    kept = tuple(
+        index for index in range(len(others))
+        if places[len(shown) + index] not in seen and others.content(index) not in known
+    )  # fmt: skip
+    if not kept:
+        raise InputError(
+            "baselines have nothing to learn from", where=where, found=f"all {len(others)} pairs show what is judged",
+            next_step="judge less with --group, or name another folder with --train",
+        )  # fmt: skip
+    return kept
 
 
 def _groups(pairs: PairSet) -> str:

@@ -25,7 +25,7 @@ from urbanforest_cli.imagery.judging.bootstrap import LEVEL, RESAMPLES
 from urbanforest_cli.imagery.judging.plots import Panel, draw_judgement, png_of
 from urbanforest_cli.imagery.judging.results import Judgement
 from urbanforest_cli.imagery.judging.scores import NEAR_PX, TRUTH_LEAST_PERCENT
-from urbanforest_cli.imagery.judging.selection import select_pairs
+from urbanforest_cli.imagery.judging.selection import PlacedPairs, select_pairs, unseen
 from urbanforest_cli.imagery.pairing.stage import read_pairs
 from urbanforest_cli.imagery.pairs import PairLabel, PairSet
 from urbanforest_cli.imagery.splits import fits
@@ -88,8 +88,8 @@ def evaluate_pairs(
     groups
         Patterns of groups or names of pairs that are judged; all where none is given.
     training
-        Folders of pairs, or patterns within `folder`, that baselines with something to learn are fitted to; they are
-        left out where none is given.
+        Folders of pairs, or patterns within `folder`, that baselines with something to learn are fitted to, less what
+        is judged; they are left out where none is given.
     threshold
         Probability from which on a pixel is covered; the model's own for each class where none is given.
     plot
@@ -117,11 +117,10 @@ def evaluate_pairs(
             "model and truth have no class in common", where=network.path, found=", ".join(network.info.classes),
             expected=", ".join(pairs.classes), next_step="name what the truth shows with --classes",
         )  # fmt: skip
-    patterns = [text for text in training if not Path(text).is_dir()]
+    patterns = [text for text in training if not text or not Path(text).is_dir()]
     chosen = select_pairs(pairs, groups, patterns, where=folder)
     _note_seen(pairs, chosen.judged, network.info, notices)
-    notices.add("W_TRAINING_PLACES", "pairs of judged places that baselines did not learn from", len(chosen.dropped),
-                [pairs.names[index] for index in chosen.dropped[:5]])  # fmt: skip
+    _note_dropped(pairs, chosen.dropped, notices)
     thresholds = [
         network.info.thresholds[network.info.classes.index(name)] if threshold is None else threshold for name in judged
     ]
@@ -132,8 +131,12 @@ def evaluate_pairs(
     learnt: list[tuple[PairSet, Sequence[int]]] = [(pairs, chosen.training)] if chosen.training else []
     for text in training:
         if text not in patterns:
-            others = read_pairs(Path(text), workers=workers, notices=notices, **{**vars(reading), "trees": None})
-            learnt.append((others, range(len(others))))
+            others = pairs
+            if not Path(text).samefile(folder):
+                others = read_pairs(Path(text), workers=workers, notices=notices, **{**vars(reading), "trees": None})
+            kept = unseen(others, pairs, chosen.judged, where=text)
+            _note_dropped(others, sorted(set(range(len(others))) - set(kept)), notices)
+            learnt.append((others, kept))
     if learnt:
         taught = over_pairs.learn(learnt, judged, seed=seed, progress=progress)
         index = taught.green_index()
@@ -246,15 +249,26 @@ def _head(path: Path) -> bytes:
         return file.read(len(PNG_HEAD))
 
 
-def _note_seen(pairs: PairSet, judged: Sequence[int], info: CoverageModelInfo, notices: Notices) -> None:
-    """Count pairs that the model learnt from or was chosen by, where it says that it was made from this very set."""
+def _note_seen(pairs: PlacedPairs, judged: Sequence[int], info: CoverageModelInfo, notices: Notices) -> None:
+    """Count pairs that the model learnt from or was chosen by, as far as it says which these were."""
     made_from = info.training.get("data")
-    if not isinstance(made_from, dict) or made_from.get("fingerprint") != pairs.fingerprint:
+    if not isinstance(made_from, dict):
         return
-    held_out = [str(pattern) for pattern in made_from.get("hold_out") or ()]
-    seen = [pairs.names[index] for index in judged if not fits(pairs, index, held_out)]
+    if isinstance(hashes := made_from.get("image_hashes"), list):
+        known = {str(one) for one in hashes}
+        seen = [pairs.names[index] for index in judged if pairs.content(index) in known]
+    elif made_from.get("fingerprint") == pairs.fingerprint:
+        held_out = [str(pattern) for pattern in made_from.get("hold_out") or ()]
+        seen = [pairs.names[index] for index in judged if not fits(pairs, index, held_out)]
+    else:
+        return
     notices.add("W_SEEN_IN_TRAINING", "pairs judged that the model was trained or chosen on, whose scores flatter it",
                 len(seen), seen[:5])  # fmt: skip
+
+
+def _note_dropped(pairs: PairSet, dropped: Sequence[int], notices: Notices) -> None:
+    notices.add("W_TRAINING_PLACES", "pairs of judged places that baselines did not learn from", len(dropped),
+                [pairs.names[index] for index in dropped[:5]])  # fmt: skip
 
 
 def _own_threshold(reader: CoverageReader, name: str) -> float:

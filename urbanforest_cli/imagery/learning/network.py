@@ -107,12 +107,12 @@ class UnetGenerator(Generator):
         return result
 
     def probability(self, raw: Tensor) -> Tensor:
-        """Bring -1 to 1 to 0 to 1."""
-        return (raw + 1.0) * 0.5
+        """Bring -1 to 1 to 0 to 1; a runtime's tanh may reach beyond 1 by its last digit."""
+        return ((raw + 1.0) * 0.5).clamp(0.0, 1.0)
 
 
 class SmallUnet(Generator):
-    """A U-Net of two million parameters with a skip at every level; `forward` returns logits."""
+    """A light U-Net with a skip at every level, full resolution too; `forward` returns logits."""
 
     def __init__(self, class_count: int, filters: int = 16, downs: int = 5, in_channels: int = 3) -> None:
         super().__init__()

@@ -131,6 +131,9 @@ def _run(
 ) -> None:
     """Train epoch after epoch, and put down after each how it went and where to go on."""
     settings, begun = request.settings, time.monotonic()
+    kept = {_sheet(request, epoch) for epoch in range(1, len(story.history) + 1)}
+    for left in set((request.work / SHEETS).glob("epoch_*.png")) - kept:
+        left.unlink()  # of a training before this one
     with Curves(request.work / CURVES, after=len(story.history)) as curves:
         if not curves.writes:
             notices.add("W_NO_TENSORBOARD", "curves for TensorBoard not written, since tensorboardX is not installed")
@@ -186,8 +189,12 @@ def _draw(request: TrainingRequest, data: TrainingData, trainer: Trainer, report
     ]
     score = "" if report.iou is None else f", validation IoU {report.iou:.3f}"
     png = sheet_png(rows, data.pairs.classes, f"epoch {report.epoch}{score}")
-    with publish(request.work / SHEETS / f"epoch_{report.epoch:04d}.png") as part:
+    with publish(_sheet(request, report.epoch)) as part:
         part.write_bytes(png)
+
+
+def _sheet(request: TrainingRequest, epoch: int) -> Path:
+    return request.work / SHEETS / f"epoch_{epoch:04d}.png"
 
 
 def _final(trainer: Trainer, data: TrainingData, notices: Notices) -> dict[str, Agreement]:

@@ -14,7 +14,7 @@ from urbanforest_cli.imagery.learning.progress_log import EpochReport
 from urbanforest_cli.imagery.learning.settings import Device, Precision, TrainingSettings
 from urbanforest_cli.imagery.learning.tiles import CHANNEL_MEAN, CHANNEL_SCALE, TileLook, Tiles
 from urbanforest_cli.imagery.learning.validation import Agreement
-from urbanforest_cli.imagery.pairs import PairLabel, PairSet
+from urbanforest_cli.imagery.pairs import PairLabel, PairSet, content_of
 from urbanforest_cli.imagery.splits import Split
 
 if TYPE_CHECKING:
@@ -133,7 +133,14 @@ def model_info(
             "key": key,
             "complete": story.ended(settings),
             "settings": decisive["settings"],
-            "data": {**decisive["data"], **data_counts(data), "hold_out": list(request.hold_out)},
+            "data": {
+                **decisive["data"],
+                **data_counts(data),
+                "hold_out": list(request.hold_out),
+                "image_hashes": sorted(
+                    content_of(data.pairs[index].rgb) for index in (*data.parts.training, *data.parts.validation)
+                ),
+            },
             "machine": machine,
             "epochs": len(story.history),
             "best_epoch": story.best_epoch,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from urbanforest_cli.core.coverage_model import UNKNOWN
 from urbanforest_cli.imagery.pairs import ImagePair, PairSet
-from urbanforest_cli.imagery.resampling import Taps, pixels_per_cell, resample_valid, taps
+from urbanforest_cli.imagery.resampling import Taps, pixels_per_cell_of, resample_valid, taps
 
 CHANNEL_MEAN = CHANNEL_SCALE = 127.5
 """Images from 0 to 255 are shown from -1 to 1, as to Pix2Pix."""
@@ -125,10 +125,9 @@ class Tiles(Sequence[Tile]):
 
 def tile_of(pair: ImagePair, resolution_m: float, enlarged: Fraction) -> Tile:
     """Bring a pair to a resolution, as `cover` does with images, and then enlarge it."""
-    width_m, height_m = pair.resolution_m
     rows, cols = pair.valid.shape
-    by_rows = _taps(pixels_per_cell(height_m, resolution_m) / enlarged, rows)
-    by_cols = _taps(pixels_per_cell(width_m, resolution_m) / enlarged, cols)
+    down, across = pixels_per_cell_of(pair.resolution_m, resolution_m)
+    by_rows, by_cols = _taps(down / enlarged, rows), _taps(across / enlarged, cols)
     fill = np.uint8(CHANNEL_MEAN)
     known = (pair.truth != UNKNOWN) & pair.valid
     if by_rows is None and by_cols is None:

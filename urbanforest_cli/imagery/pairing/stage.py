@@ -32,7 +32,7 @@ from urbanforest_cli.files.image_pair_store import BlockStore
 from urbanforest_cli.files.image_pair_trees import trees_by_image, trees_of
 from urbanforest_cli.files.vectors import split_source
 from urbanforest_cli.imagery.labels import LabelSource, derive_labels, fit_rules
-from urbanforest_cli.imagery.pairs import ImagePair, PairLabel
+from urbanforest_cli.imagery.pairs import ImagePair, PairLabel, content_of
 from urbanforest_cli.imagery.splits import places_of
 
 RULE_VERSION = 2
@@ -56,7 +56,8 @@ class FolderPairs:
         self.classes = classes
         self.names = tuple(block.name for block in blocks)
         self.groups = tuple(block.image.files.group for block in blocks)
-        self.places = places_of(self.names, [footprint(block) for block in blocks])
+        self.footprints = tuple(footprint(block) for block in blocks)
+        self.places = places_of(self.names, self.footprints)
         self.fingerprint = fingerprint
         self._blocks = tuple(blocks)
         self._truth = truth
@@ -82,6 +83,10 @@ class FolderPairs:
             truth=truth, classes=self.classes, resolution_m=block.image.resolution_m,
             trees_px=trees_of(block, self._trees),
         )  # fmt: skip
+
+    def content(self, index: int) -> str:
+        """Return a hash of a pair's image, without its truth."""
+        return content_of(self._store.pixels(self._blocks[index]).rgb)
 
     def __iter__(self) -> Iterator[ImagePair]:
         return (self[index] for index in range(len(self)))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from urbanforest_cli.core.coverage_model import CLASSES
-from urbanforest_cli.core.errors import LimitError, OutputExistsError
+from urbanforest_cli.core.errors import ConfigError, LimitError, OutputExistsError
 from urbanforest_cli.core.kernels import announce_compile
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.raster_grid import RasterGrid
@@ -58,22 +58,37 @@ class PictureSettings:
         """Where the truth goes."""
         return self.path.with_name(f"{self.path.stem}_coverage.tif")
 
-    def check(self, *, overwrite: bool) -> None:
+    def check(self, city: Path, *, overwrite: bool) -> None:
         """Refuse what cannot be made before anything is.
+
+        Parameters
+        ----------
+        city
+            File that the city itself goes to.
 
         Raises
         ------
         LimitError
             The resolution is out of bounds.
+        ConfigError
+            The picture's name does not end as that of a GeoTIFF.
         OutputExistsError
-            The picture or its truth is there already.
+            The picture or its truth is there already, or would take the place of the city.
         """
+        if self.path.suffix.lower() not in (".tif", ".tiff"):
+            raise ConfigError("the picture is a GeoTIFF", where="--image", found=self.path.name,
+                              expected="a name that ends in .tif or .tiff")  # fmt: skip
         if not RESOLUTION_M[0] <= self.resolution_m <= RESOLUTION_M[1]:
             raise LimitError(
                 "no picture can be taken at this resolution", where="--image-resolution",
                 found=f"{self.resolution_m:g} m", expected=f"{RESOLUTION_M[0]:g} to {RESOLUTION_M[1]:g} m",
             )  # fmt: skip
         for path in (self.path, self.coverage_path):
+            if path.resolve() == city.resolve():
+                raise OutputExistsError(
+                    "the picture and its truth need names of their own", where=path, found=f"the city goes to {city}",
+                    next_step="name another file with --image",
+                )  # fmt: skip
             if path.exists() and not overwrite:
                 raise OutputExistsError(
                     "the file is there already", where=path, next_step="add --overwrite to replace it"
