@@ -83,7 +83,7 @@ train-coverage: install-train ## train the coverage model that comes with the pr
 	$(TRAIN) -o urbanforest_cli/models/coverage.onnx --overwrite --filters 24 --epochs 40 --patience 0 --threads 1 \
 		--work training/coverage
 
-train-coverage-small: install-train ## train a smaller one in five minutes and tell how good it is
+train-coverage-small: install-train ## train a smaller one in about eight minutes and tell how good it is
 	@test -d "$(NAIP)/images" || { echo "NAIP must name the folder of images/ and trees/: see docs/models/coverage.md"; exit 1; }
 	$(TRAIN) -o training/small.onnx --overwrite --threads 1 --work training/small
 	$(BIN)/urbanforest evaluate-coverage "$(NAIP)" -m training/small.onnx --group 'eureka*' --group 'bishop*'
