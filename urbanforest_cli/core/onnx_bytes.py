@@ -78,7 +78,7 @@ def sealed_metadata(content: bytes) -> dict[str, str]:
                 raise ValueError(f"its metadata have {key!r} twice")
             metadata[key] = text
     if SEAL not in metadata:
-        raise ValueError("it does not hold its checksum, which `urbanforest train-coverage` writes into each model")
+        raise ValueError("it does not hold its checksum, which this program writes into each model it trains")
     seal = metadata.pop(SEAL)
     kept = [field.raw for field in fields if field.number != METADATA]
     if seal != _digest(kept, [_entry(key, metadata[key]) for key in sorted(metadata)]):
@@ -86,8 +86,8 @@ def sealed_metadata(content: bytes) -> dict[str, str]:
     return metadata
 
 
-def foreign_parts(content: bytes) -> list[str]:
-    """Return what a model asks for that no coverage model needs, each once, sorted.
+def foreign_parts(content: bytes, operators: frozenset[str] = OPERATORS) -> list[str]:
+    """Return what a model asks for beside these operators, each once, sorted.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def foreign_parts(content: bytes) -> list[str]:
     try:
         for field in fields:
             if field.number == GRAPH:
-                found |= _foreign_to_graph(_inside(field), left)
+                found |= _foreign_to_graph(_inside(field), left, operators)
     except ValueError as error:
         raise ValueError(f"it is no ONNX model, or not a whole one ({error})") from error
     return sorted(found)
@@ -168,11 +168,11 @@ def _varint(content: memoryview, at: int) -> tuple[int, int]:
     raise ValueError(f"a number without end at byte {at}")
 
 
-def _foreign_to_graph(graph: memoryview, left: list[int]) -> set[str]:
+def _foreign_to_graph(graph: memoryview, left: list[int], operators: frozenset[str]) -> set[str]:
     found: set[str] = set()
     for field in _fields(graph, left):
         if field.number == NODE:
-            found |= _foreign_to_node(_inside(field), left)
+            found |= _foreign_to_node(_inside(field), left, operators)
         elif field.number == INITIALIZER:
             found |= _foreign_to_tensor(_inside(field), left)
         elif field.number == SPARSE_INITIALIZER:
@@ -180,7 +180,7 @@ def _foreign_to_graph(graph: memoryview, left: list[int]) -> set[str]:
     return found
 
 
-def _foreign_to_node(node: memoryview, left: list[int]) -> set[str]:
+def _foreign_to_node(node: memoryview, left: list[int], operators: frozenset[str]) -> set[str]:
     found: set[str] = set()
     operator, domain = "", ""
     for field in _fields(node, left):
@@ -196,7 +196,7 @@ def _foreign_to_node(node: memoryview, left: list[int]) -> set[str]:
                     found |= _foreign_to_tensor(_inside(part), left)
     if domain not in ("", "ai.onnx"):
         found.add(f"operator {domain}.{operator}")
-    elif operator not in OPERATORS:
+    elif operator not in operators:
         found.add(f"operator {operator}")
     return found
 

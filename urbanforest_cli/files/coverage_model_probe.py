@@ -65,7 +65,7 @@ def _images(expected: dict[str, Any]) -> NDArray[np.float32]:
     return np.asarray((np.stack([noise, slope]) - mean) / scale, dtype=np.float32)
 
 
-def _limit(bytes_more: int, seconds: int) -> None:
+def limit_self(bytes_more: int, seconds: int) -> None:
     """Let this process take no more than so much memory beyond what it has, and so much processor time."""
     statm = Path("/proc/self/statm")
     if statm.exists():
@@ -84,7 +84,7 @@ def main() -> None:
     """Read the model, try it, and write what is wrong."""
     expected = json.loads(sys.argv[1])
     content = sys.stdin.buffer.read()
-    _limit(expected["bytes_more"], expected["seconds"])
+    limit_self(expected["bytes_more"], expected["seconds"])
     sys.stdout.write(first_fault(content, expected) or "")
 
 

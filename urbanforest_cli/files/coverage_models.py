@@ -8,32 +8,21 @@ with limits on memory and time, tries it on a small image.
 from __future__ import annotations
 
 import hashlib
-import json
-import os
-import re
-import signal
-import stat
-import subprocess
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from urbanforest_cli.core.coverage_model import INPUT_NAME, OUTPUT_NAME, CoverageModelInfo
-from urbanforest_cli.core.errors import InputError, LimitError, OutputError
+from urbanforest_cli.core.errors import InputError
 from urbanforest_cli.core.onnx_bytes import foreign_parts, sealed_metadata
-from urbanforest_cli.core.publish import publish, sha256_of
-from urbanforest_cli.files.vector_formats import refuse_remote
+from urbanforest_cli.files.model_files import publish_model, read_model_bytes, tried
 
 SHIPPED = Path(__file__).parents[1] / "models" / "coverage.onnx"
 PROBE = Path(__file__).with_name("coverage_model_probe.py")
 MOST_BYTES = 1 << 30
 PROBE_PX = 64
 PROBE_SECONDS = 30
-PROBE_PATIENCE_S = 240
 PROBE_BYTES, PROBE_BYTES_A_PX = 384 << 20, 16 << 10
 """Memory that trying a model may take, besides four times its size; the widest Pix2Pix takes 1.1 kB a pixel."""
-FOUND_CHARACTERS = 300
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 _NEXT = "name a model that `urbanforest train-coverage` wrote, or leave -m out for the one that comes with the program"
 
@@ -93,39 +82,11 @@ def write_coverage_model(path: Path, content: bytes) -> None:
         It could not be written whole.
     """
     CoverageModelInfo.from_metadata(sealed_metadata(content))
-
-    def verify(part: Path) -> None:
-        if sha256_of(part) != hashlib.sha256(content).hexdigest():
-            raise OutputError("the model was not written whole", where=path)
-
-    with publish(path, verify=verify) as part:
-        part.write_bytes(content)
+    publish_model(path, content)
 
 
 def _read(path: Path) -> bytes:
-    refuse_remote(path)
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer never blocks
-        try:
-            status = os.fstat(descriptor)
-            if not stat.S_ISREG(status.st_mode):
-                raise _refusal(path, "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe, a device or the like")
-            if status.st_size > MOST_BYTES:
-                raise LimitError(
-                    "the model is too large", where=path, found=f"{status.st_size:,} bytes",
-                    expected=f"at most {MOST_BYTES:,} bytes", next_step=_NEXT,
-                )  # fmt: skip
-            with open(descriptor, "rb", closefd=False) as stream:
-                content = stream.read(MOST_BYTES)
-        finally:
-            os.close(descriptor)
-    except OSError as error:
-        raise InputError(
-            "the model cannot be read", where=path, found=error.strerror or str(error), next_step=_NEXT
-        ) from error
-    if not content:
-        raise _refusal(path, "an empty file")
-    return content
+    return read_model_bytes(path, most_bytes=MOST_BYTES, refusal=_refusal, next_step=_NEXT)
 
 
 def _probe(content: bytes, info: CoverageModelInfo) -> str | None:
@@ -145,30 +106,7 @@ def _probe(content: bytes, info: CoverageModelInfo) -> str | None:
         "bytes_more": PROBE_BYTES + PROBE_BYTES_A_PX * rows * columns + 4 * len(content),
         "seconds": PROBE_SECONDS,
     }
-    try:
-        done = subprocess.run(
-            [sys.executable, "-P", str(PROBE), json.dumps(expected)], input=content, capture_output=True, check=False,
-            timeout=PROBE_PATIENCE_S, env={**os.environ, **ONE_THREAD},
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return f"trying it on {size} did not end in {PROBE_PATIENCE_S} s"
-    except OSError as error:
-        return f"it could not be tried: {error.strerror or error}"
-    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return f"trying it on {size} takes more than {PROBE_SECONDS} s, or memory that is not there"
-    if done.returncode:
-        return f"trying it on {size} failed: {_last_line(done.stderr)}"
-    return done.stdout.decode("utf-8", "replace") or None
-
-
-def _last_line(stderr: bytes) -> str:
-    """Return the reason that ends a traceback, without names of types and of others' source files."""
-    lines = stderr.decode("utf-8", "replace").strip().splitlines() or ["the process crashed"]
-    if any(name in lines[-1] for name in ("bad_alloc", "bad allocation", "MemoryError", "Failed to allocate memory")):
-        return "it takes far more memory than an image of that size should"
-    text = re.sub(r"^[\w.]+: (?:\[ONNXRuntimeError\] : \d+ : )?", "", lines[-1])
-    text = re.sub(r"/\S+\.(?:cc|h):\d+ \S*\s?", "", text)
-    return text[:FOUND_CHARACTERS] or lines[-1][:FOUND_CHARACTERS]
+    return tried(PROBE, content, expected, size, seconds=PROBE_SECONDS)
 
 
 def _refusal(path: Path, found: str) -> InputError:

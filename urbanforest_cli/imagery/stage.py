@@ -121,6 +121,18 @@ def cover_image(
     )  # fmt: skip
 
 
+def cover_key(images: Sequence[Path], *, model: Path | None = None, options: CoverOptions | None = None) -> str:
+    """Return the hash of all that decides the map of some image files, which the map bears.
+
+    Raises
+    ------
+    InputError
+        An image or the model cannot be used.
+    """
+    files = [_fingerprint(path, 0, 1, silent) for path in _distinct(list(images))]
+    return str(_provenance(load_coverage_model(model), files, options or CoverOptions())["key"])
+
+
 def _sentence(images: int, grid: RasterGrid, tally: Tally) -> str:
     """Say what was found, for a user to read."""
     wide, high = (f"{side_m:.3g}" for side_m in grid.resolution_m)

@@ -12,11 +12,12 @@ from tests.imagery.learning.pairs import Discs
 
 torch = pytest.importorskip("torch")
 
+from urbanforest_cli.core.training import Machine, find_machine, pack, settled, unpack  # noqa: E402
 from urbanforest_cli.imagery.learning import training  # noqa: E402
 from urbanforest_cli.imagery.learning.augment import Batch, CropSource  # noqa: E402
 from urbanforest_cli.imagery.learning.settings import PIX2PIX, SMALL  # noqa: E402
 from urbanforest_cli.imagery.learning.tiles import Tiles  # noqa: E402
-from urbanforest_cli.imagery.learning.training import Machine, Trainer, find_machine, pack, settled, unpack  # noqa: E402
+from urbanforest_cli.imagery.learning.training import Trainer  # noqa: E402
 
 CPU = Machine("cpu", False, 1)
 TINY = replace(SMALL, filters=4, downs=3, crop_px=32, load_px=32, batch=4, epochs=4)

@@ -1,15 +1,11 @@
-"""What is told of each epoch: a line for people, a row of a table, and a curve for TensorBoard."""
+"""What is told of each epoch: a line for people, and a row of a table."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from types import TracebackType
 from typing import Any
 
+from urbanforest_cli.core.training_report import duration
 from urbanforest_cli.imagery.learning.validation import Agreement, mean_iou
 
 
@@ -72,56 +68,4 @@ class EpochReport:
         if self.agreements:
             classes = ", ".join(f"{name} {agreement.iou:.3f}" for name, agreement in self.agreements.items())
             parts.append(f"validation IoU {self.iou:.3f} ({classes})" + (", best so far" if self.best else ""))
-        return "  ".join([*parts, f"{_duration(left_s)} left" if self.epoch < epochs else "done"])
-
-
-def csv_text(history: Sequence[EpochReport]) -> str:
-    """Return all epochs as CSV."""
-    rows = [report.as_row() for report in history]
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, fieldnames=list(dict.fromkeys(name for row in rows for name in row)))
-    writer.writeheader()
-    writer.writerows(rows)
-    return stream.getvalue()
-
-
-class Curves:
-    """Writes each epoch for TensorBoard; where its package is missing, `writes` is false and nothing happens.
-
-    `after` is how many epochs were written before; later ones of an earlier run are taken back.
-    """
-
-    def __init__(self, folder: Path, *, after: int) -> None:
-        try:
-            from tensorboardX import SummaryWriter
-        except ModuleNotFoundError:
-            self._writer = None
-        else:
-            self._writer = SummaryWriter(str(folder), purge_step=after + 1)
-
-    @property
-    def writes(self) -> bool:
-        """Tell whether anything is written."""
-        return self._writer is not None
-
-    def add(self, report: EpochReport) -> None:
-        """Write one epoch."""
-        if self._writer is not None:
-            for name, value in report.as_row().items():
-                if name not in ("epoch", "best"):
-                    self._writer.add_scalar(name.replace("_", "/", 1), value, report.epoch)
-            self._writer.flush()
-
-    def __enter__(self) -> Curves:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._writer is not None:
-            self._writer.close()
-
-
-def _duration(seconds: float) -> str:
-    minutes = seconds / 60.0
-    return f"{minutes / 60:.1f} h" if minutes >= 90 else f"{minutes:.0f} min" if minutes >= 1.5 else f"{seconds:.0f} s"
+        return "  ".join([*parts, f"{duration(left_s)} left" if self.epoch < epochs else "done"])

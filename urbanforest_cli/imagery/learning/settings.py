@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
+
+from urbanforest_cli.core.learning_rate import one_cycle
 
 Preset = Literal["small", "pix2pix"]
 Loss = Literal["bce", "l1", "l1+gan"]
@@ -185,24 +186,14 @@ def settings_for(
 def rate_at(settings: TrainingSettings, step: int, steps_an_epoch: int) -> tuple[float, float]:
     """Return the learning rate and Adam's first beta of a step, counted from 0 over all epochs.
 
-    A function of the step alone, so that a training that goes on needs no memory of it. The cycle is that of Smith
-    and Topin (2018) with PyTorch's defaults: from 1/25 of the rate up and down to 1/250,000, the beta from 0.95 to
-    0.85 and back.
+    A function of the step alone, so that a training that goes on needs no memory of it.
     """
     if settings.rate == "constant-linear":
         decaying = settings.epochs // 2
         constant = settings.epochs - decaying
         beyond = max(0, step // steps_an_epoch + 1 - constant)
         return settings.learning_rate * (1.0 - beyond / (decaying + 1)), settings.momentum
-    last = settings.epochs * steps_an_epoch - 1
-    peak = settings.warm_up_fraction * (last + 1) - 1.0
-    highest, lowest = settings.learning_rate, settings.learning_rate / 25.0
-    if step <= peak:
-        share = step / peak if peak > 0 else 1.0
-        return _cosine(lowest, highest, share), _cosine(0.95, 0.85, share)
-    share = (step - peak) / (last - peak) if last > peak else 1.0
-    return _cosine(highest, lowest / 1e4, share), _cosine(0.85, 0.95, share)
-
-
-def _cosine(start: float, end: float, share: float) -> float:
-    return end + (start - end) * (1.0 + math.cos(math.pi * share)) / 2.0
+    return one_cycle(
+        step, settings.epochs * steps_an_epoch,
+        highest=settings.learning_rate, warm_up_fraction=settings.warm_up_fraction,
+    )  # fmt: skip

@@ -13,15 +13,17 @@ from statistics import median
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from urbanforest_cli.core.checkpoints import differences, seal, unseal
 from urbanforest_cli.core.errors import ConfigError, InputError, OutputExistsError, StaleError
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.publish import publish, write_text
 from urbanforest_cli.core.summary import StageSummary
+from urbanforest_cli.core.training_report import rows_csv
 from urbanforest_cli.files.coverage_models import load_coverage_model, write_coverage_model
+from urbanforest_cli.files.training_curves import Curves
 from urbanforest_cli.imagery.learning.augment import CropSource
-from urbanforest_cli.imagery.learning.checkpoints import differences, seal, unseal
-from urbanforest_cli.imagery.learning.progress_log import Curves, EpochReport, csv_text
+from urbanforest_cli.imagery.learning.progress_log import EpochReport
 from urbanforest_cli.imagery.learning.settings import TrainingSettings
 from urbanforest_cli.imagery.learning.sheets import SheetRow, chosen, sheet_png
 from urbanforest_cli.imagery.learning.story import (
@@ -38,7 +40,8 @@ from urbanforest_cli.imagery.pairing.stage import read_pairs
 from urbanforest_cli.imagery.splits import fits, split
 
 if TYPE_CHECKING:
-    from urbanforest_cli.imagery.learning.training import Machine, Trainer
+    from urbanforest_cli.core.training import Machine
+    from urbanforest_cli.imagery.learning.training import Trainer
 
 STAGE = "train"
 CHECKPOINT, METRICS, CURVES, SHEETS = "checkpoint.pt", "metrics.csv", "tensorboard", "sheets"
@@ -77,23 +80,25 @@ def train_coverage(
     training = _training_module()
     if faults := request.settings.faults():
         raise ConfigError("settings that cannot be", found="; ".join(faults), next_step="see --help")
-    machine = _machine(training, request)
+    from urbanforest_cli.core.training import pack, settled
+
+    machine = _machine(request)
     notices = Notices()
     data = _read(request, notices, progress)
     decisive = decisive_record(request, data, machine)
     key = hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()[:32]
     if _is_made(request, key):
         return StageSummary(STAGE, request.output, data_counts(data), notices, up_to_date=True)
-    story, state = _resumed(training, request, decisive, machine, notices)
-    with training.settled(machine):
+    story, state = _resumed(request, decisive, machine, notices)
+    with settled(machine):
         source = CropSource(data.training, data.looks, request.settings)
         trainer = training.Trainer(request.settings, len(data.pairs.classes), source, machine)
         if state is not None:
             trainer.take_state(state)
 
         def keep() -> None:
-            content = training.pack({
-                "decisive": json.dumps(decisive), "machine": json.dumps(_machine_record(training, machine)),
+            content = pack({
+                "decisive": json.dumps(decisive), "machine": json.dumps(_machine_record(machine)),
                 "history": json.dumps([report.as_record() for report in story.history]),
                 "best": story.best, "parts": trainer.state(),
             })  # fmt: skip
@@ -104,7 +109,7 @@ def train_coverage(
         if story.best is not None:
             trainer.take_weights(story.best)
         agreements = _final(trainer, data, notices)
-        info = model_info(request, data, story, key, decisive, _machine_record(training, machine), agreements)
+        info = model_info(request, data, story, key, decisive, _machine_record(machine), agreements)
         from urbanforest_cli.imagery.learning.onnx_export import export_onnx
 
         content = export_onnx(trainer.network, info)
@@ -144,8 +149,8 @@ def _run(
                 story.best = trainer.weights()
             _draw(request, data, trainer, report)
             keep()
-            write_text(request.work / METRICS, csv_text(story.history))
-            curves.add(report)
+            write_text(request.work / METRICS, rows_csv([each.as_row() for each in story.history]))
+            curves.add(report.as_row())
             spent_s = time.monotonic() - begun
             if on_epoch is not None:
                 recent = [each.seconds for each in story.history[-LEFT_OVER_EPOCHS:]]
@@ -246,23 +251,25 @@ def _read(request: TrainingRequest, notices: Notices, progress: Progress) -> Tra
 
 
 def _resumed(
-    training: ModuleType, request: TrainingRequest, decisive: dict[str, Any], machine: Machine, notices: Notices
+    request: TrainingRequest, decisive: dict[str, Any], machine: Machine, notices: Notices
 ) -> tuple[Story, dict[str, Any] | None]:
     """Return where a training goes on, or the beginning."""
+    from urbanforest_cli.core.training import unpack
+
     path = request.work / CHECKPOINT
     if not path.exists():
         if request.resume:
             notices.add("W_NOTHING_TO_RESUME", "nothing to go on from, so the training began anew", examples=[path])
         return Story(), None
     if not request.resume:
-        if request.overwrite or _is_ended(training, path, request.settings):
+        if request.overwrite or _is_ended(path, request.settings):
             return Story(), None
         raise OutputExistsError(
             "a training lies here that was stopped", where=path,
             next_step="go on with it by --resume, begin anew with --overwrite, or name another folder with --work",
         )  # fmt: skip
     try:
-        state = training.unpack(unseal(path.read_bytes()))
+        state = unpack(unseal(path.read_bytes()))
         before, machine_before = json.loads(state["decisive"]), json.loads(state["machine"])
         history = [EpochReport.from_record(record) for record in json.loads(state["history"])]
         best, parts = state["best"], state["parts"]
@@ -276,16 +283,18 @@ def _resumed(
             "the checkpoint belongs to another training", where=path, found="; ".join(changed),
             next_step="give the options it was begun with, or begin anew with --overwrite instead of --resume",
         )  # fmt: skip
-    if changed := differences(machine_before, _machine_record(training, machine)):
+    if changed := differences(machine_before, _machine_record(machine)):
         notices.add("W_OTHER_MACHINE", "gone on in another way than begun, so that last digits may differ",
                     len(changed), changed)  # fmt: skip
     return Story(history, best), parts
 
 
-def _is_ended(training: ModuleType, path: Path, settings: TrainingSettings) -> bool:
+def _is_ended(path: Path, settings: TrainingSettings) -> bool:
     """Tell whether a checkpoint is the last of its training, which nobody will miss."""
+    from urbanforest_cli.core.training import unpack
+
     try:
-        state = training.unpack(unseal(path.read_bytes()))
+        state = unpack(unseal(path.read_bytes()))
         history = [EpochReport.from_record(record) for record in json.loads(state["history"])]
         epochs = int(json.loads(state["decisive"])["settings"]["epochs"])
     except (ValueError, KeyError, TypeError, OSError):
@@ -312,18 +321,21 @@ def _is_made(request: TrainingRequest, key: str) -> bool:
     )  # fmt: skip
 
 
-def _machine_record(training: ModuleType, machine: Machine) -> dict[str, Any]:
-    return {"device": machine.device, "bf16": machine.bf16, "threads": machine.threads, "torch": training.version()}
+def _machine_record(machine: Machine) -> dict[str, Any]:
+    from urbanforest_cli.core.training import version
+
+    return {"device": machine.device, "bf16": machine.bf16, "threads": machine.threads, "torch": version()}
 
 
-def _machine(training: ModuleType, request: TrainingRequest) -> Machine:
+def _machine(request: TrainingRequest) -> Machine:
+    from urbanforest_cli.core.training import find_machine
+
     try:
-        found: Machine = training.find_machine(request.device, request.precision, request.threads)
+        return find_machine(request.device, request.precision, request.threads)
     except ValueError as error:
         raise ConfigError(
             str(error), found=f"--device {request.device}", next_step="train with --device cpu"
         ) from error
-    return found
 
 
 def _training_module() -> ModuleType:

@@ -18,7 +18,8 @@ from urbanforest_cli.imagery.pairs import PairLabel, PairSet, content_of
 from urbanforest_cli.imagery.splits import Split
 
 if TYPE_CHECKING:
-    from urbanforest_cli.imagery.learning.training import Machine, Weights
+    from urbanforest_cli.core.training import Machine
+    from urbanforest_cli.imagery.learning.training import Weights
 
 HALO_STEPS, HALO_MOST_PX = 3, 256
 """The halo of a window: so many times what a network's innermost pixel covers, where that can be paid."""
