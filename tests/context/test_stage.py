@@ -33,6 +33,7 @@ def register(tmp_path):
             "area_m2": 900.0,
             "plantable_area_m2": 900.0,
             "covered_fraction": np.nan,
+            "seen_fraction": np.nan,
         },
         geometry=shapes.to_crs(4326).to_numpy(),
         crs=4326,

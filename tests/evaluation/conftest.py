@@ -50,6 +50,7 @@ def planted(tmp_path) -> tuple[Path, Path]:
             "area_m2": 2000.0,
             "plantable_area_m2": 2000.0,
             "covered_fraction": np.nan,
+            "seen_fraction": np.nan,
         },
         geometry=lots,
         crs=UTM,

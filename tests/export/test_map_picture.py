@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -69,6 +71,18 @@ def test_title_and_legend_name_the_counts():
     assert "a note" in found
     assert any("2 lots" in text and "5 plants: 3 trees, 2 shrubs" in text and "2 species" in text for text in found)
     assert {"residential", "street", "Oak", "Elder", "buildings"} <= set(found)
+
+
+def test_what_lots_were_filled_from_is_shown_and_counted():
+    plain = layers(plants=0)
+    assert "filled from the map" not in words(draw_map(plain, title="Town", width_px=400))
+    mapped = replace(plain, regions=np.array([shapely.box(10, 10, 40, 90)], dtype=object))
+    figure = draw_map(mapped, title="Town", width_px=400)
+    assert "filled from the map" in words(figure)
+    green = (pixels(figure) == [0xA9, 0xBD, 0x8C]).all(axis=2).sum()
+    red = (pixels(draw_map(plain, title="Town", width_px=400)) == [255, 0, 0]).all(axis=2).sum()
+    assert green / red == pytest.approx(30 * 80 / 5000, rel=0.15)
+    assert SeenCounts.of(mapped, (60, 0, 100, 100)).region_count == 0
 
 
 def test_a_part_of_the_city_counts_what_it_shows():

@@ -1,5 +1,6 @@
 import json
 import re
+from dataclasses import replace
 
 import pandas as pd
 import pytest
@@ -82,6 +83,21 @@ def test_a_city_without_plants_has_a_report_and_a_page():
     assert found["species"] == []
     json.dumps(found, allow_nan=False)
     assert "No plants." in render_html(found, {})
+
+
+def test_the_share_that_the_map_shows_green_is_of_the_ground_it_knows():
+    mapped = tables()
+    assert report(tables=mapped)["headline"]["map_share"] is None
+    assert "the map" not in render_html(report(tables=mapped), {})
+    lots = mapped.lots.assign(covered_fraction=[0.5, None, 0.1], seen_fraction=[1.0, 0.0, 0.5])
+    found = report(tables=replace(mapped, lots=lots))
+    assert found["headline"]["map_share"] == pytest.approx((3000 + 1000) / (6000 + 10_000))
+    zones = {row["zone"]: row["map_share"] for row in found["zones"]}
+    assert zones == {"residential": 0.5, "other": 0.1}
+    page = render_html(found, {})
+    assert "of the lots green in the map" in page
+    assert "Green in the map" in page
+    json.dumps(found, allow_nan=False)
 
 
 def test_the_page_names_what_was_counted():

@@ -47,6 +47,7 @@ def register(tmp_path_factory, config):
             "area_m2": 3350.0,
             "plantable_area_m2": 3000.0,
             "covered_fraction": np.nan,
+            "seen_fraction": np.nan,
         },
         geometry=squares,
         crs=FEET,

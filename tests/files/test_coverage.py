@@ -64,6 +64,12 @@ def test_what_is_written_by_windows_is_read_again(tmp_path):
         assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
 
 
+def test_no_name_of_a_map_is_taken(tmp_path):
+    values = percents(20, 20)
+    write(tmp_path / "plain.tif", values, provenance={"format": "cover"})
+    assert np.array_equal(read_all(tmp_path / "plain.tif")[0], values)
+
+
 def test_no_window_leaves_the_unknown_and_overviews_do_not_count_it(tmp_path):
     with CoverageWriter(tmp_path / "map.tif", grid_of(1100, 1100), ("canopy",), {}) as writer:
         writer.write(0, 0, np.full((1, 300, 1100), 80, np.uint8))

@@ -25,7 +25,9 @@ def frames(zone: str = "residential", species: str = "tilia_cordata") -> dict[st
     plants = {"plant_id": ["a-0"], "lot_id": ["a"], "species": [species], "habit": ["tree"], "age_years": [3.0],
               "envelope_radius_m": [2.0], "pruning_factor": [1.0]}  # fmt: skip
     return {
-        "lots": gpd.GeoDataFrame({**lots, "covered_fraction": [float("nan")]}, geometry=[square], crs=CRS),
+        "lots": gpd.GeoDataFrame(
+            {**lots, "covered_fraction": [float("nan")], "seen_fraction": [float("nan")]}, geometry=[square], crs=CRS
+        ),
         "active_areas": gpd.GeoDataFrame(
             {"lot_id": ["a"], "kind": ["lot"], "area_m2": [9.0]}, geometry=[square], crs=CRS
         ),
@@ -192,3 +194,28 @@ def test_buildings_of_a_register_are_filled_without_labels(grown):
     buildings = style(grown, "buildings")
     assert list(colours_by_value(buildings)) == [""]
     assert buildings.get("styleCategories") == "Symbology"
+
+
+def test_regions_and_known_plants_of_a_register_have_a_look_of_their_own(tmp_path):
+    square = shapely.MultiPolygon([shapely.box(0, 0, 9, 6)])
+    region = {"lot_id": ["a"], "area_m2": [5.0], "inside_m2": [4.0], "region_count": [1], "coverage": [1.0]}
+    known = {
+        "observed_id": ["t"],
+        "lot_id": ["a"],
+        "crown_radius_m": [float("nan")],
+        "height_m": [4.0],
+        "species": [None],
+    }
+    path = tmp_path / "register.gpkg"
+    layers = {
+        "regions": gpd.GeoDataFrame(region, geometry=[square], crs=CRS),
+        "observed": gpd.GeoDataFrame(known, geometry=[shapely.Point(5, 5)], crs=CRS),
+    }
+    write_layers(path, layers, fresh=True)
+    tip = style(path, "regions").find("mapTip").text
+    assert set(re.findall(r'"(\w+)"', tip)) <= set(region)
+    ring = style(path, "observed")
+    assert ring.find(".//prop[@k='color']").get("v").endswith(",0")
+    assert ring.find(".//Option[@name='size']/Option[@name='expression']").get("value") == (
+        '2 * coalesce("crown_radius_m", 1)'
+    )

@@ -14,6 +14,15 @@ from urbanforest_cli.commands import options
 @click.option(
     "-o", "--output", "register", type=options.FilePath(), required=True, metavar="REGISTER", help="Register to write."
 )
+@click.option(
+    "--coverage", type=options.FilePath(), metavar="COVERAGE.tif",
+    help="Coverage map: lots that it knows are planted where it shows vegetation, and nowhere else.",
+)  # fmt: skip
+@click.option(
+    "--sketch", type=options.FilePath(), metavar="FILE",
+    help="Sketches: polygons, or a picture in which vegetation is painted; replace the lots' own models inside.",
+)  # fmt: skip
+@click.option("--keep-observed", is_flag=True, help="Keep the plants of layer observed_plants as they are.")
 @options.config_opts
 @options.workers_opt
 @options.assume_crs_opt
@@ -25,6 +34,9 @@ from urbanforest_cli.commands import options
 def command(
     city: Path,
     register: Path,
+    coverage: Path | None,
+    sketch: Path | None,
+    keep_observed: bool,
     config_path: Path | None,
     settings: tuple[str, ...],
     seed: int | None,
@@ -38,11 +50,14 @@ def command(
     """Make REGISTER from CITY: clean lots, and the ground in each where plants may stand.
 
     Reads layer lots (or the only polygon layer) and, where they are, buildings, roads, driveways, entrances,
-    obstacles and sketches; writes lots, active_areas, parameters and skipped.
+    obstacles and sketches; writes lots, active_areas, parameters and skipped. With a coverage map, which `cover` makes
+    of an aerial image, the active areas are the vegetation that it shows in each lot, and layer regions has it with
+    what reaches over the lot's border.
 
     \b
     Example:
         urbanforest stencil rome.gpkg -o rome-forest/register.gpkg
+        urbanforest stencil rome.gpkg --coverage rome_coverage.tif -o rome-forest/register.gpkg
     """
     from urbanforest_cli.core.errors import OutputExistsError
     from urbanforest_cli.core.params import strategy_names
@@ -65,6 +80,9 @@ def command(
             assume_crs=assume_crs,
             lots_layer=lots_layer,
             known_strategies=strategy_names(),
+            coverage=coverage,
+            sketch=sketch,
+            keep_observed=keep_observed,
             progress=progress,
         )
     if not as_json:

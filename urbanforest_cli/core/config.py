@@ -87,6 +87,46 @@ class Placement(Section):
     )
 
 
+class Coverage(Section):
+    """How a coverage map is cut into the lots (paper, section Learning Plant Placements)."""
+
+    band: Literal["canopy", "vegetation"] = Field("canopy", description="class of the map that plants stand under")
+    threshold_percent: Annotated[float, Field(strict=True, gt=0, le=100)] | None = Field(
+        None, description="percentage from which ground counts as covered; what the map itself says, else 50, if unset"
+    )
+    resolution_m: Annotated[float, Field(strict=True, ge=0.1, le=10)] | None = Field(
+        None, description="cell in which regions are cut; the map's own, from 0.25 to 1 m, if unset"
+    )
+    smallest_region_m2: Annotated[float, Field(strict=True, ge=0, le=1e4)] = Field(
+        2.0, description="regions below this are dropped, and holes below it filled"
+    )
+    wall_clearance_m: Metres = Field(0.5, description="distance of stems from walls in regions: the trees are there")
+    road_clearance_m: Metres = Field(0.0, description="distance of stems from road surfaces in regions")
+    seen_least: Annotated[float, Field(strict=True, gt=0, le=1)] = Field(
+        0.5, description="lots of which the map knows less are not filled from it"
+    )
+    unseen: Literal["rules", "nothing"] = Field(
+        "rules", description="what becomes of lots that the map does not know: planted by their zone's rules, or not"
+    )
+    crown_overlap: Annotated[float, Field(strict=True, ge=0, le=0.9)] = Field(
+        0.25, description="share of the sum of their radii by which crowns in closed canopy may overlap"
+    )
+
+
+class Regression(Section):
+    """How parameters are read off coverage."""
+
+    pooling_radius_m: Metres = Field(
+        150.0, description="radius in which lots of one zone share what their coverage says, 0 is off"
+    )
+    zone_spread: Annotated[float, Field(strict=True, gt=0, le=10)] = Field(
+        0.25, description="how far lots stray from their zone's values, as a share of the parameter's range"
+    )
+    known_share: Annotated[float, Field(strict=True, gt=0, le=1)] = Field(
+        0.8, description="a value rests on the map where its spread is at most this share of what it is without one"
+    )
+
+
 class Context(Section):
     """Diffusion of parameters between neighbouring lots (paper, equation 4)."""
 
@@ -242,6 +282,8 @@ class Config(Section):
     seed: Annotated[int, Field(strict=True, ge=0, le=2**63 - 1)] = Field(0, description="root of every random stream")
     rules: Rules = Rules()
     placement: Placement = Placement()
+    coverage: Coverage = Coverage()
+    regression: Regression = Regression()
     context: Context = Context()
     species: Species = Species()
     growth: Growth = Growth()

@@ -16,9 +16,15 @@ from urbanforest_cli.core.params import PARAMETERS
 if TYPE_CHECKING:
     import pandas as pd
 
-REGISTER_VERSION = 3
+REGISTER_VERSION = 4
 OLDEST_YEARS = 5000.0
 RESOLVED_PREFIX = "resolved_"
+SPREAD_SUFFIX = "_spread"
+ORIGIN_SUFFIX = "_from"
+REGRESSED = (
+    "radius_mean_m", "radius_variance_m2", "density", "boundary_width_m", "cluster_radius_m", "cluster_count_max",
+)  # fmt: skip
+"""Parameters that are read off coverage, in the order of the network's outputs (paper, Learning Plant Placements)."""
 
 ColumnType = Literal["text", "number", "integer"]
 
@@ -32,6 +38,8 @@ SKIP_REASONS = {
     "no_area": "the polygon encloses nothing",
     "too_small": "no piece of ground reaches the smallest area planted",
     "no_room": "buildings, driveways and other clearances cover the whole lot",
+    "bare": "the coverage map shows no vegetation on it that a plant could stand under",
+    "unseen": "the coverage map knows too little of it, and coverage.unseen is nothing",
     "no_position": "the strategy finds no position in the ground that is left",
     "thinned": "the density left no plant standing",
     "too_many_plants": "it would hold more plants than placement.max_plants_per_lot",
@@ -88,7 +96,14 @@ LAYERS: dict[str, Layer] = {
                 "origin": Column("text", "register, road or sketch"),
                 "area_m2": Column("number", "area", low=0),
                 "plantable_area_m2": Column("number", "area left after all clearances", low=0),
-                "covered_fraction": Column("number", "share under vegetation in the image", nullable=True),
+                "covered_fraction": Column(
+                    "number", "share under vegetation in the coverage map, of what the map knows; empty without a map",
+                    nullable=True, low=0, high=1,
+                ),
+                "seen_fraction": Column(
+                    "number", "share of the lot that the coverage map knows; empty without a map",
+                    nullable=True, low=0, high=1,
+                ),
             },
         ),
         Layer(
@@ -97,6 +112,48 @@ LAYERS: dict[str, Layer] = {
                 "lot_id": _LOT,
                 "kind": Column("text", "lot, road, sketch or region"),
                 "area_m2": Column("number", "area", low=0),
+            },
+        ),
+        Layer(
+            "regions", "stencil", "vegetation of a coverage map, by the lot that its crowns belong to",
+            geometry="MultiPolygon",
+            columns={
+                "lot_id": Column("text", "lot; only those filled from the map or from a painted sketch", unique=True),
+                "area_m2": Column("number", "area, with what reaches over the lot's border", low=0),
+                "inside_m2": Column("number", "area inside the lot", low=0),
+                "region_count": Column("integer", "separate regions", low=1),
+                "coverage": Column("number", "share of the region that crowns shall cover", low=0, high=1),
+            },
+        ),
+        Layer(
+            "observed", "stencil", "known plants that are kept as they are", geometry="Point",
+            columns={
+                "observed_id": Column("text", "the plant's own id, or its row in the city's layer", unique=True),
+                "lot_id": _LOT,
+                "crown_radius_m": Column("number", "radius of the crown, empty where unknown", nullable=True, low=0),
+                "height_m": Column("number", "height, empty where unknown", nullable=True, low=0),
+                "species": Column("text", "species identifier, empty where unknown", nullable=True),
+            },
+        ),
+        Layer(
+            "regressed", "regress", "one row a lot: what its coverage says of its parameters, and how surely",
+            columns={
+                "lot_id": Column("text", "lot", unique=True),
+                "strategy": Column("text", "strategy that the coverage looks most like"),
+                "strategy_share": Column("number", "how sure that is", low=0, high=1),
+                "visible_plants": Column("number", "plants that can be told apart in the coverage", low=0),
+                "pooled_lots": Column("integer", "lots whose coverage spoke, itself included", low=0),
+                **{name: _VALUES[name] for name in REGRESSED},
+                **{
+                    name + SPREAD_SUFFIX: Column("number", f"standard deviation of {name}, in its unit", low=0)
+                    for name in REGRESSED
+                },
+                **{
+                    name + ORIGIN_SUFFIX: Column(
+                        "text", "what the value rests on: map, neighbourhood, zone, or own: a column or a sketch"
+                    )
+                    for name in REGRESSED
+                },
             },
         ),
         Layer(

@@ -82,7 +82,7 @@ class CoverageWriter:
         bands = len(self.classes)
         with publish(self.path, verify=self._verify) as part, rasterio.Env(GDAL_CACHEMAX=CACHE_BYTES):
             # A plain TIFF goes before: cloud-optimised ones cannot be written by windows.
-            plain = part.with_name("plain.tif")
+            plain = part.with_name(part.name + ".plain")
             with _writing(self.path):
                 self._file = rasterio.open(
                     plain, "w", driver="GTiff", height=self.grid.height_px, width=self.grid.width_px, count=bands,

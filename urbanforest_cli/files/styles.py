@@ -57,6 +57,12 @@ TREE_TIP = (
 )
 """What QGIS shows of a grown plant under the mouse."""
 
+REGION_TIP = (
+    '<b>[% "lot_id" %]</b><br>[% round("inside_m2") %] m² of vegetation in the lot, '
+    '[% round("area_m2" - "inside_m2") %] m² over its border, in [% "region_count" %] regions'
+)
+"""What QGIS shows of a lot's regions under the mouse."""
+
 Category = tuple[str, str, str]
 """Value, label and colour."""
 
@@ -174,6 +180,16 @@ def _active_areas_style(register: sqlite3.Connection, config: Mapping[str, Any])
     return _qml("kind", categories, _area_symbol, rest=("#f2c14e", "any other kind"))
 
 
+def _regions_style(register: sqlite3.Connection, config: Mapping[str, Any]) -> str:
+    return _qml("coverage", [], _region_symbol, rest=("#4f8f3a", "vegetation of the coverage map"), tip=REGION_TIP)
+
+
+def _observed_style(register: sqlite3.Connection, config: Mapping[str, Any]) -> str:
+    """Known plants as rings: as wide as their crowns, a metre's radius where that is unknown."""
+    symbol = partial(_ring_symbol, radius="crown_radius_m")
+    return _qml("observed_id", [], symbol, rest=("#c8553d", "known plants, kept as they are"))
+
+
 def _plants_style(register: sqlite3.Connection, config: Mapping[str, Any]) -> str:
     categories = _species_categories(register, config, "plants")
     symbol = partial(_crown_symbol, radius="envelope_radius_m")
@@ -213,6 +229,8 @@ def _species_categories(register: sqlite3.Connection, config: Mapping[str, Any],
 _STYLES: dict[str, tuple[str, Callable[[sqlite3.Connection, Mapping[str, Any]], str]]] = {
     "lots": ("zone", _lots_style),
     "active_areas": ("kind", _active_areas_style),
+    "regions": ("coverage", _regions_style),
+    "observed": ("crown_radius_m", _observed_style),
     "plants": ("envelope_radius_m", _plants_style),
     "trees": ("crown_radius_m", _trees_style),
     "buildings": ("building_id", _buildings_style),
@@ -309,6 +327,14 @@ def _area_symbol(name: str, colour: str) -> str:
     return _symbol(name, "fill", "SimpleFill", options)
 
 
+def _region_symbol(name: str, colour: str) -> str:
+    options = {
+        "color": _rgba(colour, 0.45), "style": "solid", "outline_color": _rgba(mixed(colour, "#000000", 0.3), 0.9),
+        "outline_style": "solid", "outline_width": "0.2", "outline_width_unit": "MM", "joinstyle": "round",
+    }  # fmt: skip
+    return _symbol(name, "fill", "SimpleFill", options)
+
+
 def _building_symbol(name: str, colour: str) -> str:
     options = {
         "color": _rgba(colour), "style": "solid", "outline_color": _rgba(mixed(colour, "#4a463e", 0.6)),
@@ -324,9 +350,19 @@ def _road_symbol(name: str, colour: str) -> str:
 
 def _crown_symbol(name: str, colour: str, *, radius: str) -> str:
     """A circle as wide on the ground as a column says, in metres, whatever the unit of the layer's CRS."""
+    fill, outline = _rgba(colour, 0.85), _rgba(mixed(colour, "#000000", 0.4), 0.9)
+    return _circle(name, fill, outline, "0.1", f"2 * &quot;{radius}&quot;")
+
+
+def _ring_symbol(name: str, colour: str, *, radius: str) -> str:
+    """A ring as wide on the ground as a column says, 2 m where it is empty."""
+    return _circle(name, _rgba(colour, 0.0), _rgba(colour), "0.4", f"2 * coalesce(&quot;{radius}&quot;, 1)")
+
+
+def _circle(name: str, fill: str, outline: str, outline_mm: str, diameter: str) -> str:
     options = {
-        "name": "circle", "color": _rgba(colour, 0.85), "outline_color": _rgba(mixed(colour, "#000000", 0.4), 0.9),
-        "outline_style": "solid", "outline_width": "0.1", "outline_width_unit": "MM", "scale_method": "diameter",
+        "name": "circle", "color": fill, "outline_color": outline,
+        "outline_style": "solid", "outline_width": outline_mm, "outline_width_unit": "MM", "scale_method": "diameter",
         "size": "5", "size_unit": "RenderMetersInMapUnits", "horizontal_anchor_point": "1",
         "vertical_anchor_point": "1",
     }  # fmt: skip
@@ -336,12 +372,12 @@ def _crown_symbol(name: str, colour: str, *, radius: str) -> str:
               <Option type="Map" name="properties">
                 <Option type="Map" name="size">
                   <Option type="bool" name="active" value="true"/>
-                  <Option type="QString" name="expression" value="2 * &quot;@RADIUS@&quot;"/>
+                  <Option type="QString" name="expression" value="@DIAMETER@"/>
                   <Option type="int" name="type" value="3"/>
                 </Option>
               </Option>
               <Option type="QString" name="type" value="collection"/>
             </Option>
           </data_defined_properties>
-""".replace("@RADIUS@", radius)
+""".replace("@DIAMETER@", diameter)
     return _symbol(name, "marker", "SimpleMarker", options, properties)

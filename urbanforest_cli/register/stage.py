@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import shapely
 from numpy.typing import NDArray
 
 from urbanforest_cli.core.config import Config
-from urbanforest_cli.core.errors import InputError, OutputExistsError, PartlyDoneError
+from urbanforest_cli.core.errors import OutputExistsError, PartlyDoneError
 from urbanforest_cli.core.kernels import announce_compile
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.params import PARAMETERS, STRATEGIES
 from urbanforest_cli.core.progress import Progress, silent
-from urbanforest_cli.core.publish import sha256_of
+from urbanforest_cli.core.raster_grid import RasterGrid
 from urbanforest_cli.core.summary import StageSummary
-from urbanforest_cli.core.zones import ZONES
+from urbanforest_cli.files.city import KINDS, city_inputs, inputs_beside, read_city, read_known_plants
+from urbanforest_cli.files.coverage import open_coverage
+from urbanforest_cli.files.coverage_windows import MetricCoverage
 from urbanforest_cli.files.geopackage import write_layers
+from urbanforest_cli.files.painted import is_painting, read_painting
 from urbanforest_cli.files.provenance import Record, stage_key
-from urbanforest_cli.files.vector_formats import SHAPEFILE, vector_format
-from urbanforest_cli.files.vectors import list_vector_layers, read_vector
+from urbanforest_cli.files.vector_formats import vector_format
+from urbanforest_cli.files.vectors import read_vector
+from urbanforest_cli.register.covered import Filled, fill_from_map, fill_from_paint, nothing_filled, only, owners_of
 from urbanforest_cli.register.envelope_kernel import KERNELS
 from urbanforest_cli.register.layers import (
     LOT_COLUMNS,
@@ -38,10 +39,16 @@ from urbanforest_cli.register.layers import (
     roads_of,
     surroundings_of,
 )
-from urbanforest_cli.register.lots import Lots, clean_lots, refuse_doubles, user_columns
-from urbanforest_cli.register.plantable import Ground
-from urbanforest_cli.register.resolve import resolve_parameters, with_resolved
-from urbanforest_cli.register.streets import Roads
+from urbanforest_cli.register.lots import Lots, clean_lots, refuse_doubles
+from urbanforest_cli.register.observed import observed_plants_of
+from urbanforest_cli.register.painted import painted_sketches
+from urbanforest_cli.register.plantable import Taken
+from urbanforest_cli.register.refusals import note_what_is_missing, refuse_apart
+from urbanforest_cli.register.regions import KERNELS as REGION_KERNELS
+from urbanforest_cli.register.regions import CoveredMap
+from urbanforest_cli.register.resolve import resolve_parameters
+from urbanforest_cli.register.streets import Roads, Strips
+from urbanforest_cli.register.tables import OnDemand, counts_of, tables_of
 from urbanforest_cli.register.units import (
     STAGE,
     Units,
@@ -51,26 +58,24 @@ from urbanforest_cli.register.units import (
     sketch_units,
     skipped_units,
     street_units,
+    usable_units,
 )
 
-LOTS = "lots"
-KINDS = {
-    "buildings": ("polygon",),
-    "roads": ("line", "polygon"),
-    "driveways": ("polygon", "line"),
-    "entrances": ("point", "line"),
-    "obstacles": ("point", "line", "polygon"),
-    "sketches": ("polygon",),
-}
-BAD_REASONS = ("no_geometry", "not_finite", "broken_ring", "not_polygon", "misplaced", "no_area")
 SHARE_SPEAKS_FROM = 20
 DEFAULT_MAX_BAD_FRACTION = 0.1
-SIDECARS = (".shx", ".dbf", ".prj", ".cpg")
-Shapes = NDArray[Any]
 
 
 def stencil_key(
-    city: Path, *, config: Config, seed: int, assume_crs: str | None = None, lots_layer: str | None = None
+    city: Path,
+    *,
+    config: Config,
+    seed: int,
+    assume_crs: str | None = None,
+    lots_layer: str | None = None,
+    coverage: Path | None = None,
+    sketch: Path | None = None,
+    sketch_grid: RasterGrid | None = None,
+    keep_observed: bool = False,
 ) -> str:
     """Return the hash of all that decides this stage's result.
 
@@ -79,26 +84,19 @@ def stencil_key(
     InputError
         The city is not a file that is read.
     """
-    inputs = [f"{item['name']} {item['sha256']}" for item in _inputs(city)]
-    return stage_key(
-        STAGE,
-        config=config,
-        seed=seed,
-        inputs=[*inputs, f"assume_crs={assume_crs}", f"layer={lots_layer}"],
-        sections=("rules", "zones"),
-    )
-
-
-def _inputs(city: Path) -> list[dict[str, str]]:
-    """Return names and hashes of the files that a city consists of."""
-    form = vector_format(city)
-    if city.is_dir():
-        files = sorted(item for item in city.iterdir() if item.is_file())
-    elif form is SHAPEFILE:
-        files = [city, *(side for suffix in SIDECARS if (side := city.with_suffix(suffix)).is_file())]
-    else:
-        files = [city, *(side for side in [city.with_name(city.name + "-wal")] if side.is_file())]
-    return [{"name": item.name, "sha256": sha256_of(item)} for item in files]
+    inputs = [f"{item['name']} {item['sha256']}" for item in city_inputs(city)]
+    inputs += [f"assume_crs={assume_crs}", f"layer={lots_layer}"]
+    for what, path in (("coverage", coverage), ("sketch", sketch)):
+        if path is not None:
+            inputs += [f"{what} {item['name']} {item['sha256']}" for item in inputs_beside(path)]
+    if keep_observed:
+        inputs.append("keep_observed")
+    filled = coverage is not None or (sketch is not None and is_painting(sketch))
+    if sketch_grid is not None and sketch is not None and is_painting(sketch):
+        inputs.append(f"sketch_grid={sketch_grid.width_px} {sketch_grid.height_px} {sketch_grid.transform} "
+                      f"{sketch_grid.crs.to_wkt()}")  # fmt: skip
+    sections = ("rules", "zones", *(["coverage"] if filled else []))
+    return stage_key(STAGE, config=config, seed=seed, inputs=inputs, sections=sections)
 
 
 def stencil_city(
@@ -112,20 +110,41 @@ def stencil_city(
     lots_layer: str | None = None,
     max_bad_fraction: float = 1.0,
     known_strategies: Sequence[str] = STRATEGIES,
+    coverage: Path | None = None,
+    sketch: Path | None = None,
+    sketch_grid: RasterGrid | None = None,
+    keep_observed: bool = False,
     progress: Progress = silent,
 ) -> StageSummary:
     """Make a register from a city: clean lots, the ground where plants may stand, and each lot's parameters.
 
     Reads layer ``lots`` (or the only polygon layer of a file without one) and, where they are, ``buildings``,
     ``roads``, ``driveways``, ``entrances``, ``obstacles`` and ``sketches``. Writes a fresh register with ``lots``,
-    ``active_areas``, ``parameters``, ``buildings``, ``roads``, ``skipped`` and ``provenance``, in the CRS of the
-    lots. Every row of ``lots`` is either in ``active_areas`` or, with a reason, in ``skipped``; buildings outside all
-    lots are kept.
+    ``active_areas``, ``regions``, ``parameters``, ``buildings``, ``roads``, ``skipped`` and ``provenance``, in the CRS
+    of the lots. Every row of ``lots`` is either in ``active_areas`` or, with a reason, in ``skipped``, or it holds
+    known plants; buildings outside all lots are kept.
+
+    With a map, lots that it knows are filled from it (paper, section Learning Plant Placements): their active areas
+    are the ground under its vegetation where stems may stand, and ``regions`` has the vegetation itself.
+
+    Parameters
+    ----------
+    city, register
+        Read, and written.
+    coverage
+        A coverage map, of any resolution, extent and CRS.
+    sketch
+        Polygons, or a picture in which vegetation is painted; in place of the city's own sketches.
+    sketch_grid
+        Place of a picture that states none and has its size in pixels; that of the map if None.
+    keep_observed
+        Write plants of the city's layer ``observed_plants`` to ``observed``, to be kept as they are.
 
     Raises
     ------
     InputError
-        The city cannot be used: no lots, ids that are missing or repeated, parameters outside their limits.
+        The city cannot be used: no lots, ids that are missing or repeated, parameters outside their limits. The map
+        or the sketch cannot, or the map overlaps no lot.
     CrsError
         Coordinates cannot be brought to metres.
     LimitError
@@ -137,9 +156,17 @@ def stencil_city(
     if register.exists() and city.exists() and register.samefile(city):
         raise OutputExistsError("the output is the input itself", where=register, next_step="name another with -o")
     notices = Notices()
-    key = stencil_key(city, config=config, seed=seed, assume_crs=assume_crs, lots_layer=lots_layer)
+    key = stencil_key(
+        city, config=config, seed=seed, assume_crs=assume_crs, lots_layer=lots_layer, coverage=coverage, sketch=sketch,
+        keep_observed=keep_observed, sketch_grid=sketch_grid,
+    )  # fmt: skip
     progress("reading the city", 0, 1)
-    frame, layers = _read(city, assume_crs, lots_layer, notices)
+    frame, layers = read_city(city, assume_crs, lots_layer, notices)
+    frame = gpd.GeoDataFrame(plain_columns(frame, LOT_COLUMNS, f"{city} layer 'lots'"), crs=frame.crs)
+    known = read_known_plants(city, assume_crs or frame.crs, notices) if keep_observed else None
+    if sketch is not None:
+        layers["sketches"] = _sketches(sketch, sketch_grid, coverage, assume_crs, frame.crs, config, notices)
+    shares = _taken_shares(layers, sketch)
     lots = clean_lots(frame, config, notices, city, typed=vector_format(city).typed)
     attributes = pd.DataFrame(frame.drop(columns=frame.geometry.name))
     del frame
@@ -152,7 +179,7 @@ def stencil_city(
     around = surroundings_of(layers, buildings.shapes, roads, lots.project, config.rules, notices)
     around_counts = {name: len(layers[name]) for name in KINDS if name in layers and name != "sketches"}
     layers = {name: found for name, found in layers.items() if name == "sketches"}
-    _note_what_is_missing(around_counts, lots.zones, config, notices, city)
+    note_what_is_missing(around_counts, lots.zones, config, notices, city)
     own = attributes[[name for name in ("strategy", *PARAMETERS) if name in attributes]]
     announce_compile(KERNELS, progress)
     parameters = resolve_parameters(
@@ -166,22 +193,45 @@ def stencil_city(
     refuse_doubles(whole.ids, city, "ids of lots, street strips and sketches are not unique")
     taken = ground_taken(whole, lots, streets.strips, sketches, config, notices)
     ground = ground_of(whole, lots.checked, around, taken, config, workers, progress)
-    skipped = skipped_units(whole, lots.checked, ground, taken)
+    del around
+    usable = usable_units(whole, lots.checked)
+    filled = nothing_filled(len(whole.ids))
+    if coverage is not None:
+        filled = _filled_from(
+            coverage, whole, usable, streets.strips, taken, buildings, roads, lots, config, assume_crs, workers,
+            notices, progress,
+        )  # fmt: skip
+    fill_from_paint(filled, whole, shares, buildings.shapes, road_surfaces(roads), config.coverage, workers)
+    observed = None
+    if known is not None:
+        shapes = only(whole.shapes, usable)
+        observed = observed_plants_of(
+            known, whole.ids, shapes, whole.origins, project=lots.project, working=lots.working, notices=notices
+        )
+    kept = np.unique(observed["lot_id"].to_numpy(dtype=object)) if observed is not None else np.empty(0, object)
+    mapped = filled.decided, filled.reasons, filled.details
+    skipped = skipped_units(whole, lots.checked, ground, taken, mapped, kept)
 
     progress("writing the register", 0, 1)
-    summary = StageSummary(STAGE, register, _counts(whole, ground, skipped, len(attributes)) | around_counts, notices)
+    known_count = None if observed is None else len(observed)
+    counts = counts_of(whole, ground, filled, skipped, len(attributes), known_count) | around_counts
+    summary = StageSummary(STAGE, register, counts, notices)
     record = Record(
         stage=STAGE,
         seed=seed,
         stage_key=key,
         working_crs=lots.working,
         config=config.model_dump(mode="json", exclude_none=True),
-        inputs=_inputs(city),
+        inputs=[*city_inputs(city), *(item for path in (coverage, sketch) if path for item in inputs_beside(path))],
         counts=dict(summary.counts),
         notices=notices,
     )
-    tables = _tables(attributes, whole, ground, skipped, buildings, roads, lots)
-    write_layers(register, {**tables, "provenance": pd.DataFrame([record.as_row()])}, fresh=True)
+    tables = tables_of(attributes, whole, ground, filled, skipped, buildings, roads, lots)
+    if observed is not None:
+        known_plants = observed.set_geometry(gpd.GeoSeries(lots.back(observed.geometry.to_numpy()), crs=lots.crs))
+        tables["observed"] = lambda: known_plants
+    tables["provenance"] = lambda: pd.DataFrame([record.as_row()])
+    write_layers(register, OnDemand(tables), fresh=True)
     progress("writing the register", 1, 1)
     summary.seconds = time.perf_counter() - started
     refuse_too_many_bad(summary, max_bad_fraction, city)
@@ -206,126 +256,75 @@ def refuse_too_many_bad(summary: StageSummary, max_bad_fraction: float | None, c
         )
 
 
-def _note_what_is_missing(
-    counts: dict[str, int], zones: NDArray[np.object_], config: Config, notices: Notices, city: Path
-) -> None:
-    """Tell of what a planner would miss on the map: no buildings, or a zone of the config that no lot is in."""
-    if not counts.get("buildings") and len(zones):
-        notices.add(
-            "W_NO_BUILDINGS", "cities without buildings, their lots planted as if nothing stood there", 1, [city]
-        )
-    there = set(zones) | set(ZONES) | {"default"}
-    for zone in config.zones:
-        if zone not in there:
-            near = get_close_matches(zone, sorted(set(zones) | set(ZONES)), n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            notices.add("W_ZONE_UNUSED", "zones of the config that no lot is in", 1, [f"{zone}{hint}"])
+def _sketches(
+    sketch: Path,
+    grid: RasterGrid | None,
+    coverage: Path | None,
+    assume_crs: str | None,
+    crs: Any,
+    config: Config,
+    notices: Notices,
+) -> gpd.GeoDataFrame:
+    """Read what a person drew: polygons as they are, or what is painted in a picture as polygons."""
+    if not is_painting(sketch):
+        return read_vector(sketch, assume_crs=assume_crs or crs, notices=notices)
+    if grid is None and coverage is not None:
+        with open_coverage(coverage, assume_crs=assume_crs, notices=Notices()) as reader:
+            grid = reader.grid
+    painting = read_painting(sketch, like=grid, assume_crs=assume_crs, notices=notices)
+    least_m2 = config.coverage.smallest_region_m2
+    return painted_sketches(painting.percent, painting.grid, least_m2=least_m2, notices=notices, where=sketch)
 
 
-def _read(
-    city: Path, assume_crs: str | None, lots_layer: str | None, notices: Notices
-) -> tuple[gpd.GeoDataFrame, dict[str, gpd.GeoDataFrame]]:
-    """Read a city's layers; those that it has beside its lots only if they bear their names."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # whoever reads the layer counts what is said of it
-        kinds_of = {name: kind for name, kind in list_vector_layers(city) if kind is not None}
-    names = list(kinds_of)
-    plain = {name.casefold(): name for name in reversed(names)}
-    if {"lots", "active_areas"} <= set(names):
-        raise InputError(
-            "this is a register, an output of this program",
-            where=city,
-            expected="a city: lots and what stands on them",
-            next_step="name the city it was made from",
-        )
-    others = [name for name, kind in kinds_of.items() if name.casefold() not in KINDS and "polygon" in kind.lower()]
-    if lots_layer is None and (LOTS in plain or len(others) == 1):
-        lots_layer = plain[LOTS] if LOTS in plain else others[0]
-    if lots_layer is None and names and not set(names) - set(KINDS):
-        raise InputError(
-            "no layer 'lots'", where=city, found=", ".join(names), next_step="name the layer of lots with --layer"
-        )
-    frame = read_vector(city, layer=lots_layer, assume_crs=assume_crs, notices=notices)
-    frame = gpd.GeoDataFrame(plain_columns(frame, LOT_COLUMNS, f"{city} layer 'lots'"), crs=frame.crs)
-    layers = {}
-    for name, kinds in KINDS.items():
-        if name in plain and plain[name] != lots_layer and len(names) > 1:
-            found = read_vector(
-                city, layer=plain[name], kinds=kinds, assume_crs=assume_crs or frame.crs, notices=notices,
-                where_hint=f"{city} layer {name!r}",
-            )  # fmt: skip
-            if len(found):
-                layers[name] = found
-    return frame, layers
+def _taken_shares(layers: dict[str, gpd.GeoDataFrame], sketch: Path | None) -> dict[str, float]:
+    """Take the shares of painted sketches out of their layer; return them by the ids of the units they become."""
+    if sketch is None or not is_painting(sketch):
+        return {}
+    frame = layers["sketches"]
+    layers["sketches"] = frame.drop(columns="coverage")
+    return {f"sketch:{name}": float(share) for name, share in zip(frame["sketch_id"], frame["coverage"], strict=True)}
 
 
-def _counts(
+def _filled_from(
+    coverage: Path,
     whole: Units,
-    ground: Ground,
-    skipped: pd.DataFrame,
-    row_count: int,
-) -> dict[str, int | float | str]:
-    origins = whole.origins
-    return {
-        "lots": row_count,
-        "lots_bad": int(skipped["reason"].isin(BAD_REASONS).sum()),
-        "lots_skipped": len(skipped),
-        "active_areas": int((~shapely.is_missing(ground.areas)).sum()),
-        "street_lots": int((origins == "road").sum()),
-        "sketches": int((origins == "sketch").sum()),
-        "pieces_dropped": int(ground.dropped_parts.sum()),
-        "area_m2": round(float(np.nansum(shapely.area(whole.shapes[origins == "register"]))), 1),
-        "plantable_area_m2": round(float(np.nansum(shapely.area(ground.areas))), 1),
-    }
-
-
-def _tables(
-    attributes: pd.DataFrame,
-    whole: Units,
-    ground: Ground,
-    skipped: pd.DataFrame,
+    usable: NDArray[np.bool_],
+    strips: Strips,
+    taken: Taken,
     buildings: Buildings,
     roads: Roads,
     lots: Lots,
-) -> dict[str, pd.DataFrame]:
-    areas = ground.areas
-    there = ~shapely.is_missing(areas)
-    plantable = np.nan_to_num(shapely.area(areas))
-    register_lots = gpd.GeoDataFrame(
-        {
-            "lot_id": whole.ids,
-            "zone": whole.zones,
-            "origin": whole.origins,
-            "area_m2": np.nan_to_num(shapely.area(whole.shapes)),
-            "plantable_area_m2": plantable,
-            "covered_fraction": np.nan,
-            **user_columns(attributes, len(whole.ids), lots),
-        },
-        geometry=lots.back(whole.shapes),
-        crs=lots.crs,
-    )
-    kinds = np.where(whole.origins == "register", "lot", whole.origins)
-    active = gpd.GeoDataFrame(
-        {"lot_id": whole.ids[there], "kind": kinds[there], "area_m2": plantable[there]},
-        geometry=lots.back(areas[there]),
-        crs=lots.crs,
-    )
-    parameters = with_resolved(whole.parameters)[~shapely.is_missing(whole.shapes)]
-    built = gpd.GeoDataFrame(
-        {"building_id": buildings.ids, "height_m": buildings.height_m},
-        geometry=lots.back(buildings.shapes),
-        crs=lots.crs,
-    )
-    surfaces = gpd.GeoDataFrame(
-        {"road_id": roads.ids.astype(str), "width_m": roads.widths_m},
-        geometry=lots.back(road_surfaces(roads)),
-        crs=lots.crs,
-    )
-    return {
-        "lots": register_lots,
-        "active_areas": active,
-        "parameters": parameters,
-        "buildings": built,
-        "roads": surfaces,
-        "skipped": skipped,
-    }
+    config: Config,
+    assume_crs: str | None,
+    workers: int,
+    notices: Notices,
+    progress: Progress,
+) -> Filled:
+    """Cut a map into the units that have ground of their own.
+
+    Raises
+    ------
+    InputError
+        The map cannot be used, or overlaps no unit.
+    """
+    settings = config.coverage
+    usable = usable & (whole.origins != "sketch")
+    with MetricCoverage(
+        coverage, working=lots.working, band=settings.band, threshold_percent=settings.threshold_percent,
+        resolution_m=settings.resolution_m, assume_crs=assume_crs, notices=notices,
+    ) as opened:  # fmt: skip
+        refuse_apart(opened.bounds_m, whole.shapes[usable], coverage)
+        announce_compile(REGION_KERNELS, progress)
+        return fill_from_map(
+            whole,
+            usable,
+            owners_of(whole, strips),
+            CoveredMap(opened.read, opened.resolution_m, opened.threshold_percent),
+            taken,
+            buildings.shapes,
+            road_surfaces(roads),
+            settings,
+            notices,
+            workers,
+            progress,
+        )

@@ -21,7 +21,8 @@ from urbanforest_cli.register.cleaning import Checked, overlaps, twins
 from urbanforest_cli.register.envelopes import drop_small
 from urbanforest_cli.register.layers import SKETCH_COLUMNS, as_text, plain_columns, polygons_in_metres
 from urbanforest_cli.register.lots import Lots
-from urbanforest_cli.register.plantable import Ground, Surroundings, Taken, plantable_areas
+from urbanforest_cli.register.packed import PackedShapes, packed
+from urbanforest_cli.register.plantable import Surroundings, Taken, plantable_areas
 from urbanforest_cli.register.resolve import match_zones, resolve_parameters
 from urbanforest_cli.register.sketches import density_for_cover, lot_under, numbers_of, stack_sketches
 from urbanforest_cli.register.streets import (
@@ -54,6 +55,14 @@ class Units:
     def origins(self) -> NDArray[np.object_]:
         """Return the origin of each."""
         return np.full(len(self.ids), self.origin, dtype=object) if isinstance(self.origin, str) else self.origin
+
+
+@dataclass(frozen=True)
+class Plantable:
+    """What the planting rules leave of each unit, none where nothing is, and how many pieces were dropped as small."""
+
+    areas: PackedShapes
+    dropped_parts: NDArray[np.int64]
 
 
 @dataclass
@@ -183,10 +192,9 @@ def ground_of(
     config: Config,
     workers: int,
     progress: Progress,
-) -> Ground:
+) -> Plantable:
     """Return what is left of every unit; strips along roads have left the carriageways out already."""
-    wanted = ~shapely.is_missing(whole.shapes)
-    wanted[: len(checked.reasons)] &= checked.reasons == ""
+    wanted = usable_units(whole, checked)
     count = len(whole.ids)
     strips = whole.origins == "road"
     lots, roads = np.flatnonzero(wanted & ~strips), np.flatnonzero(wanted & strips)
@@ -209,16 +217,41 @@ def ground_of(
     areas[roads] = regrouped(pieces, side_of, len(roads))
     dropped = np.bincount(rows, found.dropped_parts, minlength=count).astype(np.int64)
     dropped += np.bincount(roads[side_of], dropped_late, minlength=count).astype(np.int64)
-    return Ground(areas, dropped)
+    return Plantable(packed(areas), dropped)
 
 
-def skipped_units(whole: Units, checked: Checked, ground: Ground, taken: Taken) -> pd.DataFrame:
-    """Return the layer ``skipped``: every unit without ground, and why."""
+def usable_units(whole: Units, checked: Checked) -> NDArray[np.bool_]:
+    """Tell which units have a shape and no fault."""
+    usable = ~shapely.is_missing(whole.shapes)
+    usable[: len(checked.reasons)] &= checked.reasons == ""
+    return usable
+
+
+def skipped_units(
+    whole: Units,
+    checked: Checked,
+    ground: Plantable,
+    taken: Taken,
+    mapped: tuple[NDArray[np.bool_], NDArray[np.object_], NDArray[np.object_]],
+    kept: NDArray[np.object_],
+) -> pd.DataFrame:
+    """Return the layer ``skipped``: every unit without ground, and why.
+
+    Parameters
+    ----------
+    mapped
+        (n,) units decided by a coverage map; for those without ground the reason and the detail.
+    kept
+        Ids of units that hold known plants: these are kept whatever the ground.
+    """
     reasons = np.full(len(whole.ids), "", dtype=object)
     details = np.full(len(whole.ids), "", dtype=object)
     reasons[: len(checked.reasons)] = checked.reasons
     details[: len(checked.details)] = checked.details
-    bare = shapely.is_missing(ground.areas) & (reasons == "")
+    decided, why, more = mapped
+    of_map = decided & (reasons == "")
+    reasons[of_map], details[of_map] = why[of_map], more[of_map]
+    bare = ground.areas.missing & (reasons == "") & ~decided
     gave = np.isin(np.arange(len(whole.ids)), taken.lots)
     for rows, reason, detail in (
         (bare & (ground.dropped_parts > 0), "too_small", "only pieces smaller or thinner than those planted are left"),
@@ -226,7 +259,7 @@ def skipped_units(whole: Units, checked: Checked, ground: Ground, taken: Taken) 
         (bare & (ground.dropped_parts == 0) & ~gave, "no_room", "envelopes of what is built cover the whole lot"),
     ):
         reasons[rows], details[rows] = reason, detail
-    rows = reasons != ""
+    rows = (reasons != "") & ~(usable_units(whole, checked) & np.isin(whole.ids, kept))
     return pd.DataFrame(
         {"lot_id": whole.ids[rows], "stage": STAGE, "reason": reasons[rows], "detail": details[rows]}, dtype=object
     )
