@@ -10,13 +10,23 @@ from numpy.typing import NDArray
 
 from urbanforest_cli.core.config import Placement
 from urbanforest_cli.core.progress import Progress, silent
+from urbanforest_cli.placement.observed import apart_from_fixed
 from urbanforest_cli.placement.radii import radius_limits
 from urbanforest_cli.placement.sites import Positions, Sites
 from urbanforest_cli.placement.strategies import strategy_named
 
+Discs = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Positions (n, 2) and radii (n,)."""
+
 
 def place_in_waves(
-    sites: Sites, strategy: NDArray[np.object_], settings: Placement, progress: Progress = silent
+    sites: Sites,
+    strategy: NDArray[np.object_],
+    settings: Placement,
+    progress: Progress = silent,
+    *,
+    only: NDArray[np.int64] | None = None,
+    standing: Discs | None = None,
 ) -> Positions:
     """Place lots so that no plant overlaps one of another lot.
 
@@ -28,26 +38,36 @@ def place_in_waves(
     ----------
     strategy
         (n,) name of each lot's strategy.
+    only
+        Lots to place; the others count for nothing. All if None.
+    standing
+        Plants that stand already, whatever lot they stand in: positions and radii.
 
     Returns
     -------
     Positions, lot indices non-decreasing.
     """
+    if only is not None:
+        part = _with_fixed(sites, only, [[] for _ in only])
+        found = place_in_waves(part, strategy[only], settings, progress, standing=standing)
+        return Positions(only[found.site], found.xy, found.radius_m, only[found.refused])
     reach = _largest_radii(sites, settings)
     starts, neighbours = _neighbours(sites.areas, reach)
     wave = _waves(sites.keys, starts, neighbours)
     refused: list[int] = []
-    placed: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+    before = _standing_near(sites.areas, reach, standing)
+    placed: dict[int, Discs] = {}
     last = int(wave.max(initial=-1))
     for number in range(last + 1):
         chosen = np.flatnonzero(wave == number)
         for name in sorted(set(strategy[chosen])):
             batch = chosen[strategy[chosen] == name]
             fixed = [
-                [placed[j] for j in neighbours[starts[i] : starts[i + 1]] if j in placed and wave[j] < number]
+                before[i]
+                + [placed[j] for j in neighbours[starts[i] : starts[i + 1]] if j in placed and wave[j] < number]
                 for i in batch
             ]
-            found = _apart_from_fixed(strategy_named(name), _with_fixed(sites, batch, fixed), settings)
+            found = _placed(name, _with_fixed(sites, batch, fixed), settings)
             refused.extend(batch[found.refused].tolist())
             ends = np.searchsorted(found.site, np.arange(len(batch) + 1))
             for k, i in enumerate(batch):
@@ -85,6 +105,24 @@ def _neighbours(
     return np.searchsorted(one[order], np.arange(len(areas) + 1)), other[order]
 
 
+def _standing_near(areas: NDArray[np.object_], reach_m: NDArray[np.float64], discs: Discs | None) -> list[list[Discs]]:
+    """Return for each lot the discs that its plants may touch, of those that stand already."""
+    near: list[list[Discs]] = [[] for _ in areas]
+    if discs is None or not len(discs[1]):
+        return near
+    xy, radius_m = discs
+    points = np.asarray(shapely.points(xy))
+    lot, disc = shapely.STRtree(points).query(areas, predicate="dwithin", distance=reach_m + radius_m.max())
+    touched = shapely.dwithin(areas[lot], points[disc], reach_m[lot] + radius_m[disc])
+    lot, disc = lot[touched], disc[touched]
+    order = np.lexsort((disc, lot))
+    lot, disc = lot[order], disc[order]
+    for span in np.split(np.arange(len(lot)), np.flatnonzero(np.diff(lot)) + 1):
+        if len(span):
+            near[int(lot[span[0]])].append((xy[disc[span]], radius_m[disc[span]]))
+    return near
+
+
 def _waves(keys: NDArray[np.uint64], starts: NDArray[np.int64], neighbours: NDArray[np.int64]) -> NDArray[np.int64]:
     wave = np.zeros(len(keys), dtype=np.int64)
     for i in np.argsort(keys, kind="stable")[::-1]:
@@ -95,9 +133,7 @@ def _waves(keys: NDArray[np.uint64], starts: NDArray[np.int64], neighbours: NDAr
     return wave
 
 
-def _with_fixed(
-    sites: Sites, batch: NDArray[np.int64], fixed: list[list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
-) -> Sites:
+def _with_fixed(sites: Sites, batch: NDArray[np.int64], fixed: list[list[Discs]]) -> Sites:
     discs = [disc for lot in fixed for disc in lot]
     counts = [sum(len(xy) for xy, _ in lot) for lot in fixed]
     return replace(
@@ -113,14 +149,5 @@ def _with_fixed(
     )
 
 
-def _apart_from_fixed(strategy: object, sites: Sites, settings: Placement) -> Positions:
-    found: Positions = strategy(sites, settings)  # type: ignore[operator]
-    assert sites.fixed_offsets is not None
-    assert sites.fixed_xy is not None
-    assert sites.fixed_radius_m is not None
-    keep = np.ones(len(found.site), dtype=bool)
-    for row, (i, xy, radius) in enumerate(zip(found.site, found.xy, found.radius_m, strict=True)):
-        span = slice(sites.fixed_offsets[i], sites.fixed_offsets[i + 1])
-        apart = np.hypot(*(sites.fixed_xy[span] - xy).T)
-        keep[row] = bool(np.all(apart >= sites.fixed_radius_m[span] + radius))
-    return Positions(found.site[keep], found.xy[keep], found.radius_m[keep], found.refused)
+def _placed(name: str, sites: Sites, settings: Placement) -> Positions:
+    return apart_from_fixed(strategy_named(name)(sites, settings), sites)

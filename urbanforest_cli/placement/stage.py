@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import geopandas as gpd
@@ -19,6 +19,7 @@ from pyproj import CRS
 
 from urbanforest_cli import __version__
 from urbanforest_cli.core.config import Config
+from urbanforest_cli.core.crown_fit_kernel import fit_kernel
 from urbanforest_cli.core.crs import reproject, reproject_xy
 from urbanforest_cli.core.errors import ConfigError, SchemaError
 from urbanforest_cli.core.kernels import announce_compile
@@ -40,25 +41,35 @@ from urbanforest_cli.files.provenance import (
 )
 from urbanforest_cli.files.species import load_catalogue
 from urbanforest_cli.placement.city_wide import place_in_waves
+from urbanforest_cli.placement.observed import Observed, apart_from_fixed
+from urbanforest_cli.placement.regions import Regions, fill_regions
 from urbanforest_cli.placement.seeds import ROUNDING_TOLERATED, Seeds, draw_seeds
 from urbanforest_cli.placement.sites import Positions, Sites
+from urbanforest_cli.placement.sizes import age_at_height, as_wide_as_seen
 from urbanforest_cli.placement.strategies import KERNELS, strategy_named
 from urbanforest_cli.placement.thinning import index_within, kept_by_count, kept_by_hash
 
 STAGE = "place"
 LOTS_A_BATCH = 4096
+REGION = "region"
+"""What stands for the strategy of lots that are filled from a coverage map."""
+REGIONS_A_BATCH = 256
 
 
 def place_key(before: str, *, config: Config, seed: int, catalogue: Catalogue) -> str:
     """Return the hash of all that decides this stage's result, `before` being the key of the stage before it."""
     species = json.dumps([_without_growth(asdict(kind)) for kind in catalogue], sort_keys=True)
     return stage_key(
-        STAGE, config=config, seed=seed, inputs=[before, species, *plugin_prints()], sections=("placement", "species")
+        STAGE,
+        config=config,
+        seed=seed,
+        inputs=[before, species, *plugin_prints()],
+        sections=("placement", "coverage", "species"),
     )
 
 
 def _without_growth(kind: dict[str, object]) -> dict[str, object]:
-    return {name: value for name, value in kind.items() if name not in ("growth", "open_grown")}
+    return {name: value for name, value in kind.items() if name != "growth"}
 
 
 def place_plants(
@@ -72,9 +83,10 @@ def place_plants(
 ) -> StageSummary:
     """Fill the active areas of a register with plants.
 
-    Reads layers ``lots``, ``active_areas`` and ``parameters``; writes ``plants``, ``placements``, its rows of
-    ``skipped`` and one provenance record. The result depends on the inputs and the seed alone, not on the order of
-    lots or the number of workers.
+    Reads layers ``lots``, ``active_areas``, ``parameters`` and, where they are, ``regions`` and ``observed``; writes
+    ``plants``, ``placements``, its rows of ``skipped`` and one provenance record. Lots with regions are filled from
+    them, all others by their strategies; observed plants stand as they are and the rest keeps clear of them. The
+    result depends on the inputs and the seed alone, not on the order of lots or the number of workers.
 
     Parameters
     ----------
@@ -91,9 +103,9 @@ def place_plants(
     started = time.perf_counter()
     records = read_records(register)
     working = require_record(register, "stencil").working_crs
-    before = records["diffuse"] if "diffuse" in records else records["stencil"]
+    before = next(records[name] for name in ("diffuse", "regress", "stencil") if name in records)
     catalogue = load_catalogue(config.species)
-    city = _read_city(register, working)
+    city = _read_city(register, working, catalogue)
     _refuse_more_species_than_there_are(city, catalogue, register)
     salt = place_key("", config=config, seed=seed, catalogue=catalogue)
     city.lot_keys[:] = _lot_keys(city, salt)
@@ -112,6 +124,10 @@ def place_plants(
         "lots_skipped": len(skipped),
         "lots_reused": int(len(city.lot_ids) - todo.sum()),
     }
+    if (from_map := city.strategy == REGION).any():
+        counts["lots_from_map"] = int(from_map.sum())
+    if len(city.observed):
+        counts["plants_observed"] = len(city.observed)
     notices = Notices()
     note_settled_config(records["stencil"], config, notices)
     refused = placements.loc[placements["outcome"] == "too_many_plants", "lot_id"]
@@ -147,7 +163,7 @@ def place_plants(
 
 @dataclass
 class _City:
-    """The lots that have ground to plant, in the order of their ids; geometries in metres."""
+    """The lots that have ground to plant or known plants, in the order of their ids; geometries in metres."""
 
     crs: CRS
     lot_ids: NDArray[np.object_]
@@ -155,28 +171,41 @@ class _City:
     areas: NDArray[np.object_]
     strategy: NDArray[np.object_]
     values: dict[str, NDArray[np.float64]]
+    regions: Regions
+    observed: Observed
     prints: list[bytes]
     lot_keys: NDArray[np.object_]
 
 
-def _read_city(register: Path, working: CRS) -> _City:
-    areas = read_layer(register, "active_areas")
+def _read_city(register: Path, working: CRS, catalogue: Catalogue) -> _City:
+    there = set(layer_names(register))
+    areas = read_layer(register, "active_areas").set_index("lot_id")
     lots = read_layer(register, "lots").set_index("lot_id")
     parameters = read_layer(register, "parameters", geometry=False).set_index("lot_id")
-    areas = areas.sort_values("lot_id", kind="stable")
-    lot_ids = areas["lot_id"].to_numpy(dtype=object)
+    known = read_layer(register, "observed") if "observed" in there else None
+    mapped = read_layer(register, "regions").set_index("lot_id") if "regions" in there else None
     crs = CRS.from_user_input(areas.crs)
-    lot_shapes = lots.geometry.reindex(lot_ids).to_numpy()
-    area_shapes = areas.geometry.to_numpy()
+    lot_ids = np.array(sorted({*areas.index, *(known["lot_id"] if known is not None else ())}), dtype=object)
+    lot_shapes = np.array(lots.geometry.reindex(lot_ids), dtype=object)
+    area_shapes = np.array(areas.geometry.reindex(lot_ids), dtype=object)
+    area_shapes[shapely.is_missing(area_shapes)] = shapely.MultiPolygon()
     parameters = parameters.reindex(lot_ids)
     values = {name: parameters[name].to_numpy(dtype=np.float64) for name in PARAMETERS}
-    strategy = parameters["strategy"].to_numpy(dtype=object)
-    numbers = np.column_stack(list(values.values()))
+    strategy = np.array(parameters["strategy"], dtype=object)
+    region_shapes = np.full(len(lot_ids), shapely.MultiPolygon(), dtype=object)
+    coverage = np.ones(len(lot_ids))
+    if mapped is not None:
+        rows = pd.Index(lot_ids).get_indexer(mapped.index)
+        at, rows = np.flatnonzero(rows >= 0), rows[rows >= 0]
+        region_shapes[rows] = mapped.geometry.to_numpy()[at]
+        coverage[rows] = mapped["coverage"].to_numpy(dtype=np.float64)[at]
+        strategy[rows] = REGION
+    observed = Observed.none() if known is None else _observed(known, lot_ids, values, catalogue, working)
+    numbers = np.column_stack([*values.values(), coverage])
+    shapes = [shapely.to_wkb(item) for item in (area_shapes, lot_shapes, region_shapes)]
     prints = [
-        b"\x1f".join((str(s).encode(), row.tobytes(), area, lot))
-        for s, row, area, lot in zip(
-            strategy, numbers, shapely.to_wkb(area_shapes), shapely.to_wkb(lot_shapes), strict=True
-        )
+        b"\x1f".join((str(name).encode(), row.tobytes(), *wkb, stands))
+        for name, row, *wkb, stands in zip(strategy, numbers, *shapes, _prints_of(observed, len(lot_ids)), strict=True)
     ]
     return _City(
         crs=crs,
@@ -185,9 +214,42 @@ def _read_city(register: Path, working: CRS) -> _City:
         areas=reproject(area_shapes, crs, working),
         strategy=strategy,
         values=values,
+        regions=Regions(reproject(region_shapes, crs, working), coverage),
+        observed=observed,
         prints=prints,
         lot_keys=np.empty(len(lot_ids), dtype=object),
     )
+
+
+def _observed(
+    frame: gpd.GeoDataFrame,
+    lot_ids: NDArray[np.object_],
+    values: Mapping[str, NDArray[np.float64]],
+    catalogue: Catalogue,
+    working: CRS,
+) -> Observed:
+    frame = frame.sort_values("observed_id", kind="stable")
+    lot = pd.Index(lot_ids).get_indexer(pd.Index(frame["lot_id"]))
+    order = np.argsort(lot, kind="stable")
+    frame, lot = frame.iloc[order], lot[order]
+    points = reproject(frame.geometry.to_numpy(), CRS.from_user_input(frame.crs), working)
+    radius_m = frame["crown_radius_m"].to_numpy(dtype=np.float64, na_value=np.nan, copy=True)
+    radius_m = np.where(radius_m > 0, radius_m, values["radius_mean_m"][lot])
+    kinds = pd.Index(catalogue.ids).get_indexer(pd.Index(frame["species"].astype(object)))
+    height_m = frame["height_m"].to_numpy(dtype=np.float64, na_value=np.nan)
+    return Observed(
+        frame["observed_id"].to_numpy(dtype=object), lot.astype(np.int64), shapely.get_coordinates(points), radius_m,
+        height_m, kinds.astype(np.int64),
+    )  # fmt: skip
+
+
+def _prints_of(observed: Observed, count: int) -> list[bytes]:
+    """Return for each lot what its known plants are."""
+    prints = [b""] * count
+    numbers = np.column_stack((observed.xy, observed.radius_m, observed.height_m, observed.species.astype(np.float64)))
+    for row, lot in enumerate(observed.lot):
+        prints[lot] += str(observed.ids[row]).encode("utf-8", "surrogatepass") + numbers[row].tobytes()
+    return prints
 
 
 def _refuse_more_species_than_there_are(city: _City, catalogue: Catalogue, register: Path) -> None:
@@ -227,13 +289,15 @@ class _Placed:
     radius_mean_m: NDArray[np.float64]
     radius_variance_m2: NDArray[np.float64]
     refused: NDArray[np.bool_]
+    ids: NDArray[np.object_]
 
 
 def _batches(city: _City, todo: NDArray[np.int64]) -> Iterator[tuple[str, NDArray[np.int64]]]:
     for name in sorted(set(city.strategy[todo])):
         chosen = todo[city.strategy[todo] == name]
-        for start in range(0, len(chosen), LOTS_A_BATCH):
-            yield name, chosen[start : start + LOTS_A_BATCH]
+        size = REGIONS_A_BATCH if name == REGION else LOTS_A_BATCH
+        for start in range(0, len(chosen), size):
+            yield name, chosen[start : start + size]
 
 
 def _place(
@@ -248,7 +312,8 @@ def _place(
     keys = keys_for(seed, STAGE, city.lot_ids)
     settings = config.placement
     names = sorted(set(city.strategy[todo]))
-    announce_compile([kernel for name in names for kernel in KERNELS.get(name, ())], progress)
+    kernels = {**KERNELS, REGION: (fit_kernel,)}
+    announce_compile([kernel for name in names for kernel in kernels.get(name, ())], progress)
 
     def positions_of(batch: tuple[str, NDArray[np.int64]]) -> Positions:
         name, chosen = batch
@@ -259,23 +324,36 @@ def _place(
             areas=city.areas[chosen],
             values={parameter: column[chosen] for parameter, column in city.values.items()},
         )
-        found = strategy_named(name)(sites, settings)
+        if len(city.observed):
+            sites = city.observed.beside(sites, chosen)
+        if name == REGION:
+            regions = Regions(city.regions.shapes[chosen], city.regions.coverage[chosen])
+            found = fill_regions(sites, regions, settings, config.coverage)
+        else:
+            found = apart_from_fixed(strategy_named(name)(sites, settings), sites)
         return Positions(chosen[found.site], found.xy, found.radius_m, chosen[found.refused])
 
-    if settings.conflict == "city":
+    found = []
+    ruled = np.flatnonzero(city.strategy != REGION)
+    in_waves = settings.conflict == "city" and len(ruled) > 0
+    batches = list(_batches(city, todo[city.strategy[todo] == REGION] if in_waves else todo))
+    with ThreadPoolExecutor(workers) as pool:
+        for done, positions in enumerate(pool.map(positions_of, batches), start=1):
+            found.append(positions)
+            progress("placing plants", done, len(batches))
+    if in_waves:
         every = Sites(lot_ids=city.lot_ids, keys=keys, lots=city.lots, areas=city.areas, values=city.values)
-        found = [place_in_waves(every, city.strategy, settings, progress)]
-    else:
-        batches = list(_batches(city, todo))
-        found = []
-        with ThreadPoolExecutor(workers) as pool:
-            for done, positions in enumerate(pool.map(positions_of, batches), start=1):
-                found.append(positions)
-                progress("placing plants", done, len(batches))
-    return _planted(city, found, config, seed, catalogue)
+        standing = (
+            np.concatenate([city.observed.xy, *(positions.xy for positions in found)]),
+            np.concatenate([city.observed.radius_m, *(positions.radius_m for positions in found)]),
+        )
+        found.append(place_in_waves(every, city.strategy, settings, progress, only=ruled, standing=standing))
+    return _planted(city, found, city.observed.of_lots(todo), config, seed, catalogue)
 
 
-def _planted(city: _City, found: list[Positions], config: Config, seed: int, catalogue: Catalogue) -> _Placed:
+def _planted(
+    city: _City, found: list[Positions], known: Observed, config: Config, seed: int, catalogue: Catalogue
+) -> _Placed:
     site = np.concatenate([np.zeros(0, dtype=np.int64), *(positions.site for positions in found)])
     order = np.argsort(site, kind="stable")
     site = site[order]
@@ -289,8 +367,14 @@ def _planted(city: _City, found: list[Positions], config: Config, seed: int, cat
         variance = np.bincount(site, (radius - mean[site]) ** 2, minlength=count) / (position_count - 1)
     variance[position_count < 2] = np.nan
     thin = kept_by_hash if config.placement.density_law == "hash" else kept_by_count
-    kept = thin(site, keys_for(seed, "density", city.lot_ids), city.values["density"])
+    density = np.where(city.strategy == REGION, 1.0, city.values["density"])  # the map's gaps are counted already
+    kept = thin(site, keys_for(seed, "density", city.lot_ids), density)
     site, number, xy, radius = site[kept], number[kept], xy[kept], radius[kept]
+    ids = [f"{city.lot_ids[lot]}-{index}" for lot, index in zip(site, number.tolist(), strict=True)]
+    ids += [f"observed:{name}" for name in known.ids]
+    order = np.argsort(np.concatenate((site, known.lot)), kind="stable")
+    site, number = np.concatenate((site, known.lot))[order], np.concatenate((number, known.numbers()))[order]
+    xy, radius = np.concatenate((xy, known.xy))[order], np.concatenate((radius, known.radius_m))[order]
     seeds = draw_seeds(
         site,
         number,
@@ -300,9 +384,27 @@ def _planted(city: _City, found: list[Positions], config: Config, seed: int, cat
         catalogue,
         dominant=config.species.dominant,
     )
+    mapped = np.flatnonzero(city.strategy[site] == REGION)
+    if len(mapped):
+        seeds = as_wide_as_seen(seeds, mapped, site, keys_for(seed, "seeds", city.lot_ids), xy, radius, catalogue)
+    if len(known):
+        seeds = _as_observed(seeds, np.argsort(order)[-len(known) :], known, catalogue)
     refused = np.zeros(count, dtype=bool)
     refused[np.concatenate([np.zeros(0, dtype=np.int64), *(positions.refused for positions in found)])] = True
-    return _Placed(site, number, xy, radius, seeds, position_count, mean, variance, refused)
+    position_count = position_count + np.bincount(known.lot, minlength=count)
+    return _Placed(
+        site, number, xy, radius, seeds, position_count, mean, variance, refused, np.array(ids, dtype=object)[order]
+    )
+
+
+def _as_observed(seeds: Seeds, rows: NDArray[np.int64], observed: Observed, catalogue: Catalogue) -> Seeds:
+    """Give known plants their species, and the age at which one of it is as high, where these are known."""
+    species, age_years = seeds.species.copy(), seeds.age_years.copy()
+    species[rows] = np.where(observed.species >= 0, observed.species, species[rows])
+    lifespan_years = np.array([kind.lifespan_years for kind in catalogue], dtype=np.float64)
+    known = age_at_height(observed.height_m, species[rows], catalogue)
+    age_years[rows] = np.where(np.isfinite(known), known, np.minimum(age_years[rows], lifespan_years[species[rows]]))
+    return replace(seeds, species=species, age_years=age_years)
 
 
 def _frames(
@@ -315,7 +417,7 @@ def _frames(
     xy = reproject_xy(placed.xy, working, city.crs)
     plants = gpd.GeoDataFrame(
         {
-            "plant_id": [f"{lot}-{number}" for lot, number in zip(lot_ids, placed.number.tolist(), strict=True)],
+            "plant_id": placed.ids,
             "lot_id": lot_ids,
             "species": names[placed.seeds.species],
             "habit": habits[placed.seeds.species],
