@@ -1,0 +1,1 @@
+"""Teaching the parameter model: networks, training, export. torch stays in `network` and `training`."""
