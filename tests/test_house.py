@@ -7,7 +7,10 @@ import urbanforest_cli
 
 PACKAGE = Path(urbanforest_cli.__file__).parent
 FOUNDATIONS = {"core", "files"}
-TOP = {"main", "commands", "pipeline", "pipeline_alone", "pipeline_figures", "pipeline_growth_figures", "__main__"}
+TOP = {
+    "main", "commands", "pipeline", "pipeline_alone", "pipeline_figures", "pipeline_growth_figures",
+    "pipeline_folder", "pipeline_image", "pipeline_pairs", "pipeline_sheet", "pipeline_study", "__main__",
+}  # fmt: skip
 
 
 def imports(path: Path) -> set[str]:

@@ -6,7 +6,6 @@ outputs as they were and that folder, from which the next run goes on.
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,24 +14,49 @@ from pathlib import Path
 from urbanforest_cli.context.stage import diffuse_key, diffuse_parameters
 from urbanforest_cli.core.config import Config
 from urbanforest_cli.core.errors import EXIT_BAD_INPUT, InputError, OutputExistsError, UrbanForestError
+from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.params import strategy_names
 from urbanforest_cli.core.progress import Progress, silent
-from urbanforest_cli.core.publish import folder_lock, output_error, sync_file, sync_folder
+from urbanforest_cli.core.publish import folder_lock, output_error
+from urbanforest_cli.core.raster_grid import RasterGrid
 from urbanforest_cli.core.summary import StageSummary
-from urbanforest_cli.export.formats.stage import CITY_OUTPUTS, city_outputs, export_city
+from urbanforest_cli.export.formats.stage import CITY_OUTPUTS, export_city
 from urbanforest_cli.export.stage import export_key
 from urbanforest_cli.files.geopackage import refuse_foreign, refuse_sidecars, row_count
-from urbanforest_cli.files.manifest import MANIFEST, is_intact, read_manifest
-from urbanforest_cli.files.provenance import Record, read_records
-from urbanforest_cli.files.skeleton_parts import link_parts, move_parts, parts_are_there, parts_folder, remove_strays
+from urbanforest_cli.files.painted import is_painting, read_painting
+from urbanforest_cli.files.parameter_models import load_parameter_model
+from urbanforest_cli.files.skeleton_parts import link_parts, remove_strays
 from urbanforest_cli.files.species import load_catalogue
-from urbanforest_cli.growth.stage import grow_key, grow_plants, grown_key, show_year, shows_year
+from urbanforest_cli.files.vectors import list_vector_layers
+from urbanforest_cli.growth.stage import grow_key, grow_plants, grown_key, show_year
+from urbanforest_cli.pipeline_folder import (
+    REGISTER,
+    WORK_FOLDER,
+    bring_manifest,
+    clear,
+    exports_fresh,
+    publish_all,
+    records_of,
+    remembered,
+    skeletons_whole,
+    summary_of,
+    year_shown,
+)
+from urbanforest_cli.pipeline_image import (
+    COVERAGE,
+    Mapping,
+    grid_of,
+    is_recorded,
+    map_record,
+    mapping_of,
+    refuse_apart,
+    refuse_foreign_map,
+)
 from urbanforest_cli.placement.stage import place_key, place_plants
 from urbanforest_cli.register.stage import refuse_too_many_bad, stencil_city, stencil_key
+from urbanforest_cli.regression.stage import regress_key, regress_register
 
-STAGES = ("stencil", "diffuse", "place", "grow", "export")
-REGISTER = "register.gpkg"
-WORK_FOLDER = ".urbanforest-work"
+STAGES = ("cover", "stencil", "regress", "diffuse", "place", "grow", "export")
 
 
 @dataclass(frozen=True)
@@ -49,6 +73,20 @@ class Request:
     lots_layer: str | None = None
     max_bad_fraction: float | None = None
     year: int | None = None
+    images: tuple[Path, ...] = ()
+    coverage: Path | None = None
+    coverage_model: Path | None = None
+    parameter_model: Path | None = None
+    sketch: Path | None = None
+    keep_observed: bool = False
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Return the stages that it takes, up to the last wanted: images are mapped, and maps read, where given."""
+        mapped = bool(self.images) or self.coverage is not None
+        without = {"cover"} if not self.images else set()
+        without |= {"regress"} if not mapped else set()
+        return tuple(stage for stage in STAGES[: STAGES.index(self.until) + 1] if stage not in without)
 
 
 def default_out(city: Path) -> Path:
@@ -75,49 +113,98 @@ def populate(request: Request, *, progress: Progress = silent) -> list[StageSumm
     BusyError
         Another run holds the folder.
     """
-    _check(request)
-    keys = stage_keys(request)
+    mapping = _look(request)
     with folder_lock(request.out):
-        summaries = _run(request, keys, progress)
-    stencil = next(summary for summary in summaries if summary.stage == "stencil")
-    refuse_too_many_bad(stencil, request.max_bad_fraction, request.city)
+        summaries = _run(request, mapping, progress)
+    for summary in summaries:
+        if summary.stage == "stencil":
+            refuse_too_many_bad(summary, request.max_bad_fraction, request.city)
     return summaries
 
 
 def plan(request: Request) -> list[dict[str, object]]:
     """Tell what `populate` would do, without doing it."""
-    _check(request)
-    keys = stage_keys(request)
-    done = _stages_done(request.out / REGISTER, keys, request.until)
-    fresh = len(done) == len(_register_stages(request.until))
-    exported = fresh and _exports_fresh(request.out, keys["export"])
-    wanted = STAGES[: STAGES.index(request.until) + 1]
-    return [
-        {"stage": stage, "would": "keep" if stage in done or (stage == "export" and exported) else "run"}
-        for stage in wanted
-    ]
+    mapping = _look(request)
+    keys = stage_keys(request, mapping, _map_there(request, mapping))
+    done = _stages_done(request.out / REGISTER, keys, request)
+    exported = len(done) == len(_register_stages(request)) and exports_fresh(request.out, keys["export"])
+    kept = {*done, *(["cover"] if keys.get("stencil") else []), *(["export"] if exported else [])}
+    return [{"stage": stage, "would": "keep" if stage in kept else "run"} for stage in request.stages]
 
 
-def stage_keys(request: Request) -> dict[str, str]:
-    """Return for each stage the hash of all that decides its result."""
-    catalogue = load_catalogue(request.config.species)
-    stencil = stencil_key(
+def stage_keys(request: Request, mapping: Mapping | None = None, coverage: Path | None = None) -> dict[str, str]:
+    """Return for each stage the hash of all that decides its result.
+
+    Parameters
+    ----------
+    mapping
+        Of the images, where there are any.
+    coverage
+        The map, where it is there; nothing is done after it where it is not.
+    """
+    config, seed = request.config, request.seed
+    catalogue = load_catalogue(config.species)
+    keys = {"cover": mapping.key} if mapping is not None else {}
+    if mapping is not None and coverage is None:
+        return keys | dict.fromkeys(request.stages[1:], "")
+    before = stencil_key(
         request.city,
-        config=request.config,
-        seed=request.seed,
+        config=config,
+        seed=seed,
         assume_crs=request.assume_crs,
         lots_layer=request.lots_layer,
+        coverage=coverage,
+        sketch=request.sketch,
+        sketch_grid=_sketch_grid(request, mapping),
+        keep_observed=request.keep_observed,
     )
-    diffuse = diffuse_key(stencil, config=request.config, seed=request.seed)
-    place = place_key(diffuse, config=request.config, seed=request.seed, catalogue=catalogue)
-    grow = grow_key(place, config=request.config, seed=request.seed, catalogue=catalogue)
-    return {
-        "stencil": stencil,
-        "diffuse": diffuse,
-        "place": place,
-        "grow": grow,
-        "export": export_key(f"{grow} {request.year}", config=request.config, seed=request.seed),
-    }
+    keys["stencil"] = before
+    if "regress" in request.stages:
+        model = load_parameter_model(request.parameter_model)
+        before = keys["regress"] = regress_key(before, config=config, seed=seed, model_sha256=model.sha256)
+    diffuse = diffuse_key(before, config=config, seed=seed)
+    place = place_key(diffuse, config=config, seed=seed, catalogue=catalogue)
+    grow = grow_key(place, config=config, seed=seed, catalogue=catalogue)
+    export = export_key(f"{grow} {request.year}", config=config, seed=seed)
+    return keys | {"diffuse": diffuse, "place": place, "grow": grow, "export": export}
+
+
+def _look(request: Request) -> Mapping | None:
+    """Refuse what cannot be used before anything slow is done; return how the images are to be mapped."""
+    _check(request)
+    grid = None
+    if request.coverage is not None:
+        grid = grid_of(request.coverage, request.assume_crs)
+        refuse_apart(request.city, request.lots_layer, request.assume_crs, grid, "map", request.coverage)
+    if not request.images:
+        return None
+    mapping = mapping_of(
+        request.images, request.coverage_model, request.city, request.lots_layer, request.assume_crs
+    )  # fmt: skip
+    if request.sketch is not None and is_painting(request.sketch):
+        read_painting(request.sketch, like=mapping.grid, assume_crs=request.assume_crs, notices=Notices())
+    elif request.sketch is not None:
+        list_vector_layers(request.sketch)
+    if "regress" in request.stages:
+        load_parameter_model(request.parameter_model)
+    return mapping
+
+
+def _sketch_grid(request: Request, mapping: Mapping | None) -> RasterGrid | None:
+    """Return the place of a painted sketch that has none of its own: that of the image it was painted over."""
+    return mapping.grid if mapping is not None else None
+
+
+def _map_there(request: Request, mapping: Mapping | None) -> Path | None:
+    """Return the map in force: the user's, else one of these images that is there whole, of an unfinished run first."""
+    if mapping is None:
+        return request.coverage
+    unfinished, published = request.out / WORK_FOLDER / COVERAGE, request.out / COVERAGE
+    if mapping.is_made(unfinished):
+        return unfinished
+    records = records_of(request.out / REGISTER)
+    changed = "cover" in records and not is_recorded(records["cover"], mapping, published)
+    return published if mapping.is_made(published) and not changed else None
 
 
 def _check(request: Request) -> None:
@@ -144,22 +231,19 @@ def _check(request: Request) -> None:
             where=request.out,
             next_step="name another folder with -o",
         )
+    if request.images:
+        refuse_foreign_map(request.out / COVERAGE)
 
 
-def _register_stages(until: str) -> tuple[str, ...]:
-    return STAGES[: min(STAGES.index(until) + 1, STAGES.index("export"))]
+def _register_stages(request: Request) -> tuple[str, ...]:
+    return tuple(stage for stage in request.stages if stage not in ("cover", "export"))
 
 
-def _stages_done(register: Path, keys: dict[str, str], until: str) -> list[str]:
+def _stages_done(register: Path, keys: dict[str, str], request: Request) -> list[str]:
     """Return the first stages that a register holds the wanted result of."""
-    if not register.exists():
-        return []
-    try:
-        records = read_records(register)
-    except UrbanForestError:  # a half-written or foreign copy in the work folder: begin again
-        return []
+    records = records_of(register) if register.exists() else {}
     done = []
-    for stage in _register_stages(until):
+    for stage in _register_stages(request):
         if stage not in records:
             break
         key = grown_key(records[stage]) if stage == "grow" else records[stage].stage_key
@@ -167,56 +251,92 @@ def _stages_done(register: Path, keys: dict[str, str], until: str) -> list[str]:
             break
         if stage == "place" and row_count(register, "plants") != records[stage].counts.get("plants"):
             break  # changed by somebody else since
-        if stage == "grow" and not _skeletons_whole(register, records[stage]):
+        if stage == "grow" and not skeletons_whole(register, records[stage]):
             break
         done.append(stage)
     return done
 
 
-def _year_shown(register: Path, year: int | None) -> bool:
-    return shows_year(read_records(register)["grow"], year)
-
-
-def _skeletons_whole(register: Path, record: Record) -> bool:
-    """Tell whether what a register says of its skeletons still holds."""
-    counted = row_count(register, "trees") == record.counts.get("plants")
-    return counted and row_count(register, "groves") == record.counts.get("groves") and parts_are_there(register)
-
-
-def _run(request: Request, keys: dict[str, str], progress: Progress) -> list[StageSummary]:
-    wanted = _register_stages(request.until)
+def _run(request: Request, mapping: Mapping | None, progress: Progress) -> list[StageSummary]:
+    wanted = _register_stages(request)
     published = request.out / REGISTER
-    done = _stages_done(published, keys, request.until)
     work = request.out / WORK_FOLDER
-    whole = len(done) == len(wanted) and ("grow" not in wanted or _year_shown(published, request.year))
-    if whole and (request.until != "export" or _exports_fresh(request.out, keys["export"])):
+    coverage = _map_there(request, mapping)
+    keys = stage_keys(request, mapping, coverage)
+    done = _stages_done(published, keys, request)
+    whole = len(done) == len(wanted) and ("grow" not in wanted or year_shown(published, request.year))
+    if mapping is not None:
+        whole &= coverage == request.out / COVERAGE
+    if whole and (request.until != "export" or exports_fresh(request.out, keys["export"])):
         shutil.rmtree(work, ignore_errors=True)
         remove_strays(published)
-        kept = _kept(published, wanted)
+        kept = _kept_map(request, mapping, progress) | remembered(published, wanted)
         if request.until == "export":
             kept["export"] = StageSummary("export", request.out, up_to_date=True)
         return list(kept.values())
 
-    register = _work_register(work, published, keys, request.until)
     try:
-        summaries = _run_stages(request, keys, register, progress)
-        _publish_all(work, request.out, request.until)
+        covered = {}
+        if mapping is not None:
+            covered = _cover(request, mapping, coverage, progress)
+            coverage = _map_there(request, mapping)
+            keys = stage_keys(request, mapping, coverage)
+        if wanted:
+            register = _work_register(work, published, keys, request, mapping)
+            covered |= _run_stages(request, keys, register, mapping, coverage, covered, progress)
+        publish_all(work, request.out, request.until, mapped=mapping is not None)
     except UrbanForestError as error:
         if error.exit_code == EXIT_BAD_INPUT:  # the same command would fail again: nothing to go on from
-            shutil.rmtree(work, ignore_errors=True)
+            clear(work, mapping)
         raise
     finally:
-        if not register.exists():
-            shutil.rmtree(work, ignore_errors=True)
-    return summaries
+        if not (work / REGISTER).exists():
+            clear(work, mapping)
+    return list(covered.values())
 
 
-def _run_stages(request: Request, keys: dict[str, str], register: Path, progress: Progress) -> list[StageSummary]:
+def _cover(request: Request, mapping: Mapping, coverage: Path | None, progress: Progress) -> dict[str, StageSummary]:
+    """Map the images, unless their map is there."""
+    if coverage is not None:
+        return _kept_map(request, mapping, progress)
+    work = request.out / WORK_FOLDER
+    try:
+        work.mkdir(exist_ok=True)
+    except OSError as error:
+        raise output_error(work, error) from error
+    summary = mapping.make(work / COVERAGE, request.workers, progress)
+    summary.output = request.out / COVERAGE
+    return {"cover": summary}
+
+
+def _kept_map(request: Request, mapping: Mapping | None, progress: Progress) -> dict[str, StageSummary]:
+    """Return what is remembered of a map that is there, or else seen by looking through it."""
+    there = _map_there(request, mapping)
+    if mapping is None or there is None:
+        return {}
+    for register in (request.out / REGISTER, request.out / WORK_FOLDER / REGISTER):
+        record = (records_of(register) if register.exists() else {}).get("cover")
+        if record is not None and is_recorded(record, mapping, there):
+            return {"cover": summary_of(record, request.out / COVERAGE)}
+    summary = mapping.make(there, request.workers, progress)
+    summary.output = request.out / COVERAGE
+    return {"cover": summary}
+
+
+def _run_stages(
+    request: Request,
+    keys: dict[str, str],
+    register: Path,
+    mapping: Mapping | None,
+    coverage: Path | None,
+    covered: dict[str, StageSummary],
+    progress: Progress,
+) -> dict[str, StageSummary]:
     """Run on the working register all stages that its records do not show as done, and the exports beside it."""
-    wanted = _register_stages(request.until)
+    wanted = _register_stages(request)
     published = request.out / REGISTER
-    done = _stages_done(register, keys, request.until)
-    summaries = _kept(register, tuple(done), shown=published)
+    done = _stages_done(register, keys, request)
+    summaries = remembered(register, tuple(done), shown=published)
     steps: dict[str, Callable[[], StageSummary]] = {
         "stencil": lambda: stencil_city(
             request.city,
@@ -227,6 +347,18 @@ def _run_stages(request: Request, keys: dict[str, str], register: Path, progress
             assume_crs=request.assume_crs,
             lots_layer=request.lots_layer,
             known_strategies=strategy_names(),
+            coverage=coverage,
+            sketch=request.sketch,
+            sketch_grid=_sketch_grid(request, mapping),
+            keep_observed=request.keep_observed,
+            progress=progress,
+        ),
+        "regress": lambda: regress_register(
+            register,
+            model=request.parameter_model,
+            config=request.config,
+            seed=request.seed,
+            workers=request.workers,
             progress=progress,
         ),
         "diffuse": lambda: diffuse_parameters(register, config=request.config, seed=request.seed, progress=progress),
@@ -252,11 +384,13 @@ def _run_stages(request: Request, keys: dict[str, str], register: Path, progress
             summary = steps[stage]()
             summary.output = published
             summaries[stage] = summary
-    if "grow" in wanted and not _year_shown(register, request.year):
+        if stage == "stencil" and mapping is not None and coverage is not None and "cover" not in records_of(register):
+            map_record(register, mapping, covered["cover"], coverage, request.seed)
+    if "grow" in wanted and not year_shown(register, request.year):
         summaries["grow"] = show_year(register, request.year)
         summaries["grow"].output = published
     if request.until == "export":
-        _bring_manifest(request.out, register.parent)
+        bring_manifest(request.out, register.parent)
         summaries["export"] = export_city(
             register,
             register.parent,
@@ -264,24 +398,26 @@ def _run_stages(request: Request, keys: dict[str, str], register: Path, progress
             seed=request.seed,
             key=keys["export"],
             published=request.out,
-            summaries=[summary.as_record() for summary in summaries.values()],
+            summaries=[summary.as_record() for summary in (covered | summaries).values()],
             workers=request.workers,
             progress=progress,
         )
         summaries["export"].output = request.out
-    return list(summaries.values())
+    return summaries
 
 
-def _work_register(work: Path, published: Path, keys: dict[str, str], until: str) -> Path:
+def _work_register(
+    work: Path, published: Path, keys: dict[str, str], request: Request, mapping: Mapping | None
+) -> Path:
     """Return the register to work on: an unfinished one, a copy of the published one, or a fresh start."""
     register = work / REGISTER
     try:
         work.mkdir(exist_ok=True)
-        unfinished = len(_stages_done(register, keys, until))
-        kept = _stages_done(published, keys, until)
+        unfinished = len(_stages_done(register, keys, request))
+        kept = _stages_done(published, keys, request)
         if unfinished == 0 or len(kept) > unfinished:
-            shutil.rmtree(work)
-            work.mkdir()
+            clear(work, mapping)
+            work.mkdir(exist_ok=True)
             if kept:
                 shutil.copyfile(published, register)
             if "grow" in kept:
@@ -289,50 +425,3 @@ def _work_register(work: Path, published: Path, keys: dict[str, str], until: str
     except OSError as error:
         raise output_error(work, error) from error
     return register
-
-
-def _kept(register: Path, stages: tuple[str, ...], shown: Path | None = None) -> dict[str, StageSummary]:
-    records = read_records(register) if stages else {}
-    return {stage: _summary_of(records[stage], shown or register) for stage in stages}
-
-
-def _summary_of(record: Record, output: Path) -> StageSummary:
-    counts = {str(name): value for name, value in record.counts.items() if isinstance(value, int | float | str)}
-    return StageSummary(record.stage, output, counts, record.notices, up_to_date=True)
-
-
-def _exports_fresh(out: Path, key: str) -> bool:
-    """Tell whether every output is there, unchanged since it was written for this key."""
-    written = city_outputs(read_manifest(out), key)
-    return bool(written) and all(is_intact(out, export) for export in written)
-
-
-def _bring_manifest(out: Path, work: Path) -> None:
-    """Take along what the manifest says of outputs that this run does not write."""
-    try:
-        if (out / MANIFEST).is_file():
-            shutil.copyfile(out / MANIFEST, work / MANIFEST)
-    except OSError as error:
-        raise output_error(work, error) from error
-
-
-def _publish_all(work: Path, out: Path, until: str) -> None:
-    """Move all that is ready into place: skeletons before the register that names them, those it names no longer after.
-
-    The manifest is last: it vouches for the others by their hashes.
-    """
-    names = [REGISTER, *CITY_OUTPUTS, MANIFEST] if until == "export" else [REGISTER]
-    try:
-        there = [name for name in names if (work / name).exists()]
-        for name in there:
-            sync_file(work / name)
-        move_parts(work / REGISTER, parts_folder(out / REGISTER))
-        for name in there:
-            os.replace(work / name, out / name)
-        for name in set(CITY_OUTPUTS) - set(read_manifest(out)) if until == "export" else ():
-            (out / name).unlink(missing_ok=True)  # what this city has no more
-        sync_folder(out)
-        remove_strays(out / REGISTER)
-        shutil.rmtree(work)
-    except OSError as error:
-        raise output_error(out, error) from error

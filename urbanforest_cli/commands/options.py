@@ -26,7 +26,12 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 LOG_EVERY_S = 30.0
 LONG_S = 5.0
 """What a task takes at least for its end to be told."""
-DECIDED_BY = (("diffuse", ("context",)), ("place", ("placement", "species")), ("grow", ("growth",)))
+DECIDED_BY = (
+    ("regress", ("regression",)),
+    ("diffuse", ("context",)),
+    ("place", ("placement", "species")),
+    ("grow", ("growth",)),
+)
 """Which stage's record tells which sections of the config a register was made with, beside those of `stencil`."""
 
 
@@ -244,3 +249,22 @@ def _number(value: float | str) -> str:
     if isinstance(value, float):
         return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
     return f"{value:,}" if isinstance(value, int) else value
+
+
+def register_in(path: Path) -> Path:
+    """Return the register of a folder that `populate` wrote, or the path itself if it is no folder."""
+    return path / "register.gpkg" if path.is_dir() else path
+
+
+def named_path(text: str, option: str) -> tuple[str, Path]:
+    """Return name and path of ``NAME=PATH``.
+
+    Raises
+    ------
+    click.BadParameter
+        A part is missing.
+    """
+    name, equals, path = text.partition("=")
+    if not (name.strip() and equals and path.strip()):
+        raise click.BadParameter(f"{text!r} is not NAME=PATH", param_hint=option)
+    return name.strip(), Path(path.strip())

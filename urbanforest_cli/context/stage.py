@@ -19,10 +19,18 @@ from urbanforest_cli.core.kernels import announce_compile
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.params import PARAMETERS
 from urbanforest_cli.core.progress import Progress, silent
+from urbanforest_cli.core.regressed import Overlay, overlay
 from urbanforest_cli.core.schema import RESOLVED_PREFIX
 from urbanforest_cli.core.summary import StageSummary
 from urbanforest_cli.files.geopackage import read_layer, write_layers
-from urbanforest_cli.files.provenance import Record, note_settled_config, provenance_frame, require_record, stage_key
+from urbanforest_cli.files.provenance import (
+    Record,
+    note_settled_config,
+    provenance_frame,
+    read_records,
+    require_record,
+    stage_key,
+)
 
 STAGE = "diffuse"
 LATER_STAGES = ("place", "grow", "export")
@@ -36,10 +44,11 @@ def diffuse_key(before: str, *, config: Config, seed: int) -> str:
 def diffuse_parameters(register: Path, *, config: Config, seed: int, progress: Progress = silent) -> StageSummary:
     """Let the lots of a register share their parameters with the lots around them.
 
-    Reads layers ``lots`` and ``parameters`` (the ``resolved_`` columns, so that it can be run again); writes
-    ``parameters`` and one provenance record, and drops the records of later stages. Every lot with a geometry takes
-    part, also those that cannot be planted: they are part of the context. A lot without one keeps its values, and so
-    does a sketch, which a person drew: its neighbours hear of it, but it does not give way to them.
+    Reads layers ``lots``, ``parameters`` (the ``resolved_`` columns, so that it can be run again) and, after
+    ``regress``, ``regressed``; writes ``parameters`` and one provenance record, and drops the records of later stages.
+    Every lot with a geometry takes part, also those that cannot be planted: they are part of the context. A lot
+    without one keeps its values, and so does a sketch, which a person drew. Values read off coverage stay too, for
+    they rest on the very place. Neighbours hear of what stays, but it does not give way to them.
 
     Raises
     ------
@@ -48,6 +57,7 @@ def diffuse_parameters(register: Path, *, config: Config, seed: int, progress: P
     """
     started = time.perf_counter()
     stencil = require_record(register, "stencil")
+    before = read_records(register).get("regress", stencil)
     lots = read_layer(register, "lots")
     parameters = read_layer(register, "parameters", geometry=False)
     centres, zones = _places(lots, parameters["lot_id"], stencil.working_crs)
@@ -59,9 +69,13 @@ def diffuse_parameters(register: Path, *, config: Config, seed: int, progress: P
     announce_compile(KERNELS, progress)
     strategies = parameters["strategy"].to_numpy(dtype=object)
     resolved = {name: parameters[RESOLVED_PREFIX + name].to_numpy(dtype=np.float64) for name in PARAMETERS}
+    start = Overlay(resolved, {name: np.zeros(len(parameters), dtype=bool) for name in PARAMETERS})
+    if before is not stencil:
+        regressed = read_layer(register, "regressed", geometry=False)
+        start = overlay(parameters["lot_id"].to_numpy(dtype=object), resolved, regressed, seed=before.seed)
     diffused = diffuse(
         centres,
-        resolved,
+        start.values,
         lot_ids=parameters["lot_id"].to_numpy(dtype=object),
         strategies=strategies,
         seed=seed,
@@ -73,9 +87,9 @@ def diffuse_parameters(register: Path, *, config: Config, seed: int, progress: P
     changed = np.zeros(len(parameters), dtype=bool)
     drawn = parameters["source"].to_numpy(dtype=object) == "sketch"
     for name, found in diffused.values.items():
-        column = np.where(drawn, resolved[name], found)
+        column = np.where(drawn | start.read[name], start.values[name], found)
         parameters[name] = column
-        changed |= column != resolved[name]
+        changed |= column != start.values[name]
     parameters["context_lot_count"] = diffused.lot_count
     counts: dict[str, int | float | str] = {
         "lots": len(parameters),
@@ -86,10 +100,10 @@ def diffuse_parameters(register: Path, *, config: Config, seed: int, progress: P
     record = Record(
         stage=STAGE,
         seed=seed,
-        stage_key=diffuse_key(stencil.stage_key, config=config, seed=seed),
+        stage_key=diffuse_key(before.stage_key, config=config, seed=seed),
         working_crs=stencil.working_crs,
         config=config.model_dump(mode="json", include={"context"}),
-        inputs=[{"name": "stencil", "stage_key": stencil.stage_key}],
+        inputs=[{"name": before.stage, "stage_key": before.stage_key}],
         counts=dict(counts),
         notices=notices,
     )

@@ -44,6 +44,8 @@ class MapLayers:
         (m, 2) positions, (m,) radii, 0 where nothing is to be drawn, and indices into `species`.
     buildings, building_height_m, roads
         Polygons with heights, and surfaces.
+    regions
+        Vegetation of a coverage map that lots were filled from.
     """
 
     lots: NDArray[np.object_]
@@ -56,6 +58,7 @@ class MapLayers:
     buildings: NDArray[np.object_] = field(default_factory=lambda: np.empty(0, dtype=object))
     building_height_m: FloatArray = field(default_factory=lambda: np.empty(0))
     roads: NDArray[np.object_] = field(default_factory=lambda: np.empty(0, dtype=object))
+    regions: NDArray[np.object_] = field(default_factory=lambda: np.empty(0, dtype=object))
 
     def crowns(self) -> Crowns:
         """Return the plants as crowns in their species' colours."""

@@ -26,6 +26,8 @@ ROAD_FILL = "#fffefc"
 ROAD_CASING = "#dcd8cf"
 BUILDING_FILL = "#fbfaf8"
 BUILDING_EDGE = "#aaa69d"
+REGION_FILL = "#a9bd8c"
+REGION_EDGE = "#7d9a5c"
 SPECIES_SHOWN = 14
 ZONES_SHOWN = 9
 WIDEST, TALLEST = 3.4, 0.62
@@ -33,32 +35,35 @@ WIDEST, TALLEST = 3.4, 0.62
 
 @dataclass(frozen=True)
 class SeenCounts:
-    """How many lots a zone, plants a species, trees and buildings the map shows."""
+    """How many lots a zone, plants a species, trees, buildings and lots filled from a coverage map are shown."""
 
     lots: NDArray[np.int64]
     plants: NDArray[np.int64]
     tree_count: int
     building_count: int
+    region_count: int
 
     @classmethod
     def of(cls, layers: MapLayers, bbox: Bounds | None) -> SeenCounts:
         """Count what lies in bounds, or all."""
         zone, species, building_count = layers.lot_zone, layers.plant_species, len(layers.buildings)
+        region_count = len(layers.regions)
         if bbox is not None:
             west, south, east, north = bbox
             box = shapely.box(*bbox)
             zone = zone[shapely.intersects(layers.lots, box)]
             building_count = int(shapely.intersects(layers.buildings, box).sum())
+            region_count = int(shapely.intersects(layers.regions, box).sum())
             x, y = layers.plant_xy[:, 0], layers.plant_xy[:, 1]
             species = species[(x >= west) & (x <= east) & (y >= south) & (y <= north)]
         plants = np.bincount(species, minlength=len(layers.species))
         tall = np.array([item.tall for item in layers.species], dtype=bool)
         return cls(np.bincount(zone, minlength=len(layers.zones)), plants, int(plants[tall].sum()),
-                   building_count)  # fmt: skip
+                   building_count, region_count)  # fmt: skip
 
     def legend_rows(self) -> int:
         """Return how many rows a legend of two columns of species takes."""
-        zones = int((self.lots > 0).sum()) + (self.building_count > 0)
+        zones = int((self.lots > 0).sum()) + (self.building_count > 0) + (self.region_count > 0)
         species = min(int((self.plants > 0).sum()), SPECIES_SHOWN)
         return max(min(zones, ZONES_SHOWN), -(-species // 2), 4)
 
@@ -148,30 +153,24 @@ class Legend:
         order = [n for n in np.argsort(-self.seen.lots, kind="stable") if self.seen.lots[n] > 0]
         for number in order[:rows]:
             zone = self.layers.zones[number]
-            box = Rectangle(
-                (left, y - 14 * unit),
-                42 * unit,
-                28 * unit,
-                facecolor=zone.colour,
-                edgecolor=mixed(zone.colour, "#6f6a60", 0.45),
-                linewidth=self.pane.points(1.5 * unit),
-            )
-            self.page.canvas.add_patch(box)
+            self._box(left, y, zone.colour, mixed(zone.colour, "#6f6a60", 0.45))
             self._row(left + 62 * unit, left + width, y, zone.name, int(self.seen.lots[number]))
             y += self.row
-        if self.seen.building_count:
-            box = Rectangle(
-                (left, y - 14 * unit),
-                42 * unit,
-                28 * unit,
-                facecolor=BUILDING_FILL,
-                edgecolor=BUILDING_EDGE,
-                linewidth=self.pane.points(1.5 * unit),
-            )
-            self.page.canvas.add_patch(box)
-            self._row(left + 62 * unit, left + width, y, "buildings", self.seen.building_count)
-            y += self.row
+        for label, fill, edge, count in (
+            ("filled from the map", REGION_FILL, REGION_EDGE, self.seen.region_count),
+            ("buildings", BUILDING_FILL, BUILDING_EDGE, self.seen.building_count),
+        ):
+            if count:
+                self._box(left, y, fill, edge)
+                self._row(left + 62 * unit, left + width, y, label, count)
+                y += self.row
         return y
+
+    def _box(self, left: float, y: float, fill: str, edge: str) -> None:
+        unit = self.page.unit
+        box = Rectangle((left, y - 14 * unit), 42 * unit, 28 * unit, facecolor=fill, edgecolor=edge,
+                        linewidth=self.pane.points(1.5 * unit))  # fmt: skip
+        self.page.canvas.add_patch(box)
 
     def _species(self, left: float, top: float, width: float, rows: int, *, columns: int) -> None:
         y0 = self._heading(left, top, "Species, plants")

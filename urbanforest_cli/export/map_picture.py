@@ -20,6 +20,8 @@ from urbanforest_cli.export.map_page import (
     GROUND,
     HAIRLINE,
     INK,
+    REGION_EDGE,
+    REGION_FILL,
     ROAD_CASING,
     ROAD_FILL,
     SOFT_INK,
@@ -85,7 +87,7 @@ def ground_bounds(layers: MapLayers) -> Bounds:
 
 
 def draw_ground(pane: Pane, layers: MapLayers) -> None:
-    """Draw lots by zone, roads and buildings."""
+    """Draw lots by zone, vegetation of a coverage map, roads and buildings."""
     edge_px = lot_edge_px(pane, layers.lots)
     # Roads lie over the street's own lots and under everybody else's.
     order = sorted(range(len(layers.zones)), key=lambda number: layers.zones[number].name != STREET_ZONE)
@@ -95,6 +97,7 @@ def draw_ground(pane: Pane, layers: MapLayers) -> None:
         lots = layers.lots[layers.lot_zone == number]
         fill_polygons(pane, lots, colour, edge=mixed(colour, "#6f6a60", 0.32), edge_px=edge_px, z=z)
     draw_roads(pane, layers.roads, fill=ROAD_FILL, casing=ROAD_CASING, z=2.0)
+    fill_polygons(pane, layers.regions, REGION_FILL, edge=REGION_EDGE, edge_px=min(1.2, 1.5 * pane.px_per_m), z=3.2)
     cast_shadows(pane, layers.buildings, layers.building_height_m, alpha=0.28, z=3.5)
     building_edge_px = min(1.6, 2.2 * pane.px_per_m) if pane.px_per_m > 0.2 else 0.0
     fill_polygons(pane, layers.buildings, BUILDING_FILL, edge=BUILDING_EDGE, edge_px=building_edge_px, z=4.0)

@@ -147,6 +147,8 @@ def _figures(headline: Row) -> str:
         (decimal(headline["plants_per_hectare"], 1), "plants a hectare"),
         (percent(headline["crown_share"]), "crowns over lots"),
     ]
+    if headline["map_share"] is not None:
+        shown.append((percent(headline["map_share"]), "of the lots green in the map"))
     boxes = "".join(f"<div><b>{number}</b><span>{text}</span></div>" for number, text in shown)
     return f'<div class="figures">{boxes}</div>'
 
@@ -186,6 +188,11 @@ def _zone_columns(zones: Sequence[Row]) -> list[Column]:
         ("Plants", count_cell("plants"), True),
         ("Plants a hectare", density, True),
         ("Crowns over lots", share_cell("crown_share"), True),
+        *(
+            [("Green in the map", share_cell("map_share"), True)]
+            if any(z["map_share"] is not None for z in zones)
+            else []
+        ),
     ]
 
 

@@ -34,6 +34,8 @@ def build_report(
 
     Areas are in hectares. The crown share of a zone is the sum of its crowns' circles over the area of its lots:
     where crowns overlap, both count. Crowns are those that grew, or the plants' envelopes where nothing has grown.
+    The map share is the share of the lots' ground on which a coverage map shows vegetation, of what the map knows of
+    it; None without a map.
 
     Parameters
     ----------
@@ -62,9 +64,8 @@ def build_report(
         "plants": plants.groupby("lot_id", observed=True).size(),
         "crown_m2": plants.groupby("lot_id", observed=True)["crown_m2"].sum(),
     })  # fmt: skip
-    lots = tables.lots[["lot_id", "zone", "area_m2", "plantable_area_m2"]].merge(
-        a_lot, how="left", left_on="lot_id", right_index=True
-    )
+    columns = ["lot_id", "zone", "area_m2", "plantable_area_m2", "covered_fraction", "seen_fraction"]
+    lots = tables.lots.reindex(columns=columns).merge(a_lot, how="left", left_on="lot_id", right_index=True)
     lots[["plants", "crown_m2"]] = lots[["plants", "crown_m2"]].fillna(0.0)
     lots = lots.merge(tables.parameters[["lot_id", "strategy", "radius_mean_m"]], how="left", on="lot_id")
     return {
@@ -108,7 +109,14 @@ def _densities(lots: pd.DataFrame) -> Row:
         "plants_per_hectare": _ratio(plants * SQUARE_METRES_A_HECTARE, area, 2),
         "crown_share": _ratio(crowns, area, 4),
         "plantable_share": _ratio(plantable, area, 4),
+        "map_share": _map_share(lots),
     }
+
+
+def _map_share(lots: pd.DataFrame) -> float | None:
+    known_m2 = (lots["seen_fraction"].astype(float) * lots["area_m2"]).where(lots["covered_fraction"].notna(), 0.0)
+    covered_m2 = (known_m2 * lots["covered_fraction"].astype(float).fillna(0.0)).sum()
+    return _ratio(float(covered_m2), float(known_m2.sum()), 4)
 
 
 def _ratio(part: float, whole: float, decimals: int) -> float | None:

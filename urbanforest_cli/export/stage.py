@@ -190,6 +190,9 @@ def _read(register: Path, config: Config) -> _Planted:
         buildings=buildings,
         building_height_m=heights,
         roads=roads,
+        regions=reproject(read_layer(register, "regions").geometry.to_numpy(), crs, working)
+        if "regions" in names
+        else np.empty(0, dtype=object),
     )
     return _Planted(
         name=city_name(register),

@@ -1,0 +1,1 @@
+"""How well planted crowns cover what a coverage map covers, lot by lot."""

@@ -1,0 +1,1 @@
+"""The two-alternative study: which of two plantings looks more realistic (paper, section Perceptual User Study)."""
