@@ -9,7 +9,7 @@ TRAIN = $(BIN)/urbanforest train-coverage "$(NAIP)" --hold-out 'eureka*' --hold-
 
 .DEFAULT_GOAL := help
 .PHONY: help install install-train demo test test-all readers lint format bench check-growth train-coverage train-coverage-small \
-	figures sample clean
+	train-parameters figures sample clean
 
 help: ## list these targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 18
@@ -31,12 +31,13 @@ install: $(VENV)/.installed ## make .venv and install the program into it
 install-train: $(VENV)/.installed-train ## add what training needs: torch and its company
 
 demo: install ## populate the sample city and show where to look
-	$(BIN)/urbanforest populate data_samples/sample_city.gpkg -o $(DEMO)
-	$(BIN)/urbanforest cover data_samples/sample_city.tif -o $(DEMO)/coverage.tif --preview $(DEMO)/coverage.png --overwrite
+	$(BIN)/urbanforest populate data_samples/sample_city.gpkg --image data_samples/sample_city.tif -o $(DEMO)
+	$(BIN)/urbanforest evaluate $(DEMO) --coverage $(DEMO)/coverage.tif --image data_samples/sample_city.tif \
+		--sheet $(DEMO)/sheet.png
 	@echo
 	@echo "Look at:  $(DEMO)/view.png      the planted city from above"
 	@echo "          $(DEMO)/map.png       its map"
-	@echo "          $(DEMO)/coverage.png  an aerial picture, and the trees and lawns found in it"
+	@echo "          $(DEMO)/sheet.png     an aerial picture, the trees found in it, and those planted"
 	@echo "          $(DEMO)/forest.glb    all of it in 3D, for Blender or a browser"
 	@echo "          $(DEMO)/report.html   counts, warnings, typical lots"
 	@echo "          $(DEMO)/register.gpkg every plant, styled, for QGIS"
@@ -87,6 +88,10 @@ train-coverage-small: install-train ## train a smaller one in about eight minute
 	@test -d "$(NAIP)/images" || { echo "NAIP must name the folder of images/ and trees/: see docs/models/coverage.md"; exit 1; }
 	$(TRAIN) -o training/small.onnx --overwrite --threads 1 --work training/small
 	$(BIN)/urbanforest evaluate-coverage "$(NAIP)" -m training/small.onnx --group 'eureka*' --group 'bishop*'
+
+train-parameters: install-train ## train the parameter model that comes with the program again (within half an hour)
+	$(BIN)/urbanforest train-regression -o urbanforest_cli/models/parameters.onnx --overwrite --pairs 60000 --epochs 10 \
+		--threads 1 --work training/parameters
 
 figures: install ## render the paper's placement figures
 	$(BIN)/urbanforest figures -o figures
