@@ -58,11 +58,11 @@ def config(conflict="lot", **sections):
 SETTINGS = config()
 
 
-def write_register(folder, *, keep=False, covering=None, columns=None, known=None, mapped=True):
+def write_register(folder, *, keep=False, covering=None, known=None, mapped=True):
     city, path = folder / "city.gpkg", folder / "register.gpkg"
     layers = {
         "lots": gpd.GeoDataFrame(
-            {"lot_id": list(IDS), "zone": "default", "strategy": STRATEGY, **(columns or {})}, geometry=lots(), crs=CRS
+            {"lot_id": list(IDS), "zone": "default", "strategy": STRATEGY}, geometry=lots(), crs=CRS
         ),
         "buildings": gpd.GeoDataFrame({"height_m": [6.0]}, geometry=[HOUSE], crs=CRS),
     }
