@@ -90,7 +90,7 @@ train-coverage-small: install-train ## train a smaller one in about eight minute
 	$(BIN)/urbanforest evaluate-coverage "$(NAIP)" -m training/small.onnx --group 'eureka*' --group 'bishop*'
 
 train-parameters: install-train ## train the parameter model that comes with the program again (within half an hour)
-	$(BIN)/urbanforest train-regression -o urbanforest_cli/models/parameters.onnx --overwrite --pairs 60000 --epochs 10 \
+	$(BIN)/urbanforest train-regression -o urbanforest_cli/models/parameters.onnx --overwrite --pairs 100000 --epochs 10 \
 		--threads 1 --work training/parameters
 
 figures: install ## render the paper's placement figures

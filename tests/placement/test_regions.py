@@ -111,7 +111,7 @@ def test_lots_do_not_depend_on_one_another():
         assert np.array_equal(together.radius_m[together.site == row], alone.radius_m)
 
 
-def test_a_lot_larger_than_a_grid_is_cut_region_by_region(monkeypatch):
+def test_a_lot_larger_than_a_grid_is_filled_square_by_square(monkeypatch):
     whole = fill([crowns_of(*APART)])
     sizes = []
     rastered = regions.raster_shares
@@ -119,19 +119,26 @@ def test_a_lot_larger_than_a_grid_is_cut_region_by_region(monkeypatch):
         regions, "raster_shares", lambda *arguments: sizes.append(arguments[-2:]) or rastered(*arguments)
     )
     monkeypatch.setattr(regions, "CELLS_MAX", 2_000)
+    monkeypatch.setattr(regions, "SQUARE_CELLS", 80)
     cut = fill([crowns_of(*APART)])
-    assert len(sizes) == len(APART)
-    assert max(height * width for height, width in sizes) < 4_000
-    order, order_cut = np.lexsort(whole.xy.T), np.lexsort(cut.xy.T)
-    assert whole.xy[order] == pytest.approx(cut.xy[order_cut], abs=0.15)
-    assert whole.radius_m[order] == pytest.approx(cut.radius_m[order_cut], abs=0.15)
+    assert len(sizes) > 2
+    assert set(sizes) == {(80, 80)}
+    for (x, y), radius_m in zip(whole.xy, whole.radius_m, strict=True):
+        near = np.hypot(*(cut.xy - (x, y)).T) < radius_m
+        assert near.any()
+        assert cut.radius_m[near].max() == pytest.approx(radius_m, rel=0.35)
+    assert shapely.area(union_of(cut)) == pytest.approx(shapely.area(union_of(whole)), rel=0.12)
 
 
-def test_a_region_larger_than_a_grid_takes_wider_cells(monkeypatch):
-    monkeypatch.setattr(regions, "CELLS_MAX", 5_000)
-    found = fill([WOOD])
-    assert shapely.area(union_of(found)) == pytest.approx(WOOD.area, rel=0.06)
-    assert shapely.covers(WOOD, shapely.points(found.xy)).all()
+def test_squares_of_a_wood_hold_as_many_crowns_as_one_grid(monkeypatch):
+    whole = fill([WOOD, WOOD, WOOD], mean=2.0)
+    monkeypatch.setattr(regions, "CELLS_MAX", 2_000)
+    monkeypatch.setattr(regions, "SQUARE_CELLS", 64)
+    cut = fill([WOOD, WOOD, WOOD], mean=2.0)
+    assert len(cut) == pytest.approx(len(whole), rel=0.15)
+    assert cut.radius_m.mean() == pytest.approx(whole.radius_m.mean(), rel=0.1)
+    assert shapely.area(shapely.intersection(union_of(cut), WOOD)) / WOOD.area > 0.93
+    assert shapely.covers(WOOD, shapely.points(cut.xy)).all()
 
 
 def test_a_lot_with_too_many_plants_gets_none_and_is_named():

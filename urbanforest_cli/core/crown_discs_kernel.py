@@ -43,8 +43,8 @@ class Standing(NamedTuple):
     kinds : (capacity,) int64 SHOWN or FILLED.
     first : (bins,) int64 the last crown put into a bin, -1 for none.
     following : (capacity,) int64 the crown before it in the same bin.
-    bin_size : twice the largest radius that may stand.
-    bins_across : bins in a row.
+    bin_size, bins_across : side of a bin, and bins in a row.
+    widest : (1,) float64 the largest radius that stands or stood.
     """
 
     discs: Any
@@ -53,6 +53,7 @@ class Standing(NamedTuple):
     following: Any
     bin_size: float
     bins_across: int
+    widest: Any
 
 
 class Law(NamedTuple):
@@ -197,9 +198,9 @@ def ridge_cells(squares, stems, allowed, least):
 
 
 @kernel
-def stand_in(capacity, largest, height, width):
+def stand_in(capacity, law, height, width):
     """Return room for crowns of a grid, none of them standing yet."""
-    bin_size = 2.0 * largest
+    bin_size = 2.0 * law.most
     across, down = int(width / bin_size) + 1, int(height / bin_size) + 1
     return Standing(
         np.empty((capacity, 3)),
@@ -208,6 +209,7 @@ def stand_in(capacity, largest, height, width):
         np.full(capacity, -1, dtype=np.int64),
         bin_size,
         across,
+        np.zeros(1),
     )
 
 
@@ -224,6 +226,7 @@ def _into_bin(standing, number, x, y):
     place = int(y / standing.bin_size) * standing.bins_across + int(x / standing.bin_size)
     standing.following[number] = standing.first[place]
     standing.first[place] = number
+    standing.widest[0] = max(standing.widest[0], standing.discs[number, 2])
 
 
 @kernel
@@ -240,9 +243,11 @@ def sort_into_bins(standing, count, height, width):
 def apart(standing, x, y, radius, near):
     """Tell whether a disc keeps the distance `near` (r + r') from all crowns that stand."""
     bins_down = len(standing.first) // standing.bins_across
-    col, row = int(x / standing.bin_size), int(y / standing.bin_size)
-    for r in range(max(0, row - 1), min(bins_down, row + 2)):
-        for c in range(max(0, col - 1), min(standing.bins_across, col + 2)):
+    reach = near * (radius + standing.widest[0])
+    top, left = int((y - reach) / standing.bin_size), int((x - reach) / standing.bin_size)
+    bottom, right = int((y + reach) / standing.bin_size), int((x + reach) / standing.bin_size)
+    for r in range(max(0, top), min(bins_down, bottom + 1)):
+        for c in range(max(0, left), min(standing.bins_across, right + 1)):
             other = standing.first[r * standing.bins_across + c]
             while other >= 0:
                 least = near * (radius + standing.discs[other, 2])

@@ -79,7 +79,7 @@ def fit_kernel(percent, stems, mean, variance, cut_sd, radius_min, overlap, cove
     squares = squares_in(ground)
     law = law_of(mean, variance, cut_sd, radius_min, overlap)
     largest = _largest(squares, stems, law)
-    standing = stand_in(64 + 2 * int(area / (np.pi * law.least * law.least)), largest, height, width)
+    standing = stand_in(64 + 2 * int(area / (np.pi * law.least * law.least)), law, height, width)
     taken = np.zeros((height, width), dtype=np.uint8)
 
     woods = deep_ground(squares, law)

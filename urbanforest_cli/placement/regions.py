@@ -26,7 +26,8 @@ Shapes = NDArray[np.object_]
 CELL_M = 0.3
 """Half a cell of aerial imagery of 0.6 m: outlines are told to less than that."""
 CELLS_MAX = 1_000_000
-"""A larger grid is cut: every region of the lot gets one of its own."""
+"""A lot whose grid would be larger is filled square by square."""
+SQUARE_CELLS = 800
 RIM_CELLS = 3
 INSET_M = 0.01
 
@@ -84,35 +85,32 @@ def _none() -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]
 def _fit_lot(
     sites: Sites, regions: Regions, row: int, settings: Placement, coverage: Coverage
 ) -> Iterator[NDArray[np.float64]]:
-    """Yield (n, 3) easting, northing and radius, grid by grid."""
-    fixed = slice(0, 0)
-    if sites.fixed_offsets is not None:
+    """Yield (n, 3) easting, northing and radius, grid by grid; crowns of earlier grids stand already."""
+    standing = np.empty((0, 3))
+    if sites.fixed_offsets is not None and sites.fixed_xy is not None and sites.fixed_radius_m is not None:
         fixed = slice(int(sites.fixed_offsets[row]), int(sites.fixed_offsets[row + 1]))
-    for number, (shape, ground) in enumerate(_grids(regions.shapes[row], sites.areas[row])):
-        west, south, east, north = shapely.bounds(shape)
-        cell_m = CELL_M * max(1.0, float(np.sqrt((east - west) * (north - south) / CELL_M**2 / CELLS_MAX)))
-        x0, y_top = west - RIM_CELLS * cell_m, north + RIM_CELLS * cell_m
-        width = int(np.ceil((east - west) / cell_m)) + 2 * RIM_CELLS
-        height = int(np.ceil((north - south) / cell_m)) + 2 * RIM_CELLS
-        both = np.array([shape, ground], dtype=object)
-        covered, stems = raster_shares(both, x0, y_top, cell_m, height, width)
+        standing = np.column_stack((sites.fixed_xy[fixed], sites.fixed_radius_m[fixed]))
+    for grid in _grids(regions.shapes[row], sites.areas[row]):
+        covered, stems = raster_shares(grid.shapes, grid.x0, grid.y_top, CELL_M, grid.height, grid.width)
         crowns = fit_crowns(
             covered,
             stems >= 0.5,
-            x0=x0,
-            y_top=y_top,
-            pixel_m=cell_m,
+            x0=grid.x0,
+            y_top=grid.y_top,
+            pixel_m=CELL_M,
             radius_mean_m=float(sites.values["radius_mean_m"][row]),
             radius_variance_m2=_variance(sites, row, settings),
             radius_cut_sd=settings.radius_cut_sd,
             radius_min_m=settings.radius_min_m,
             overlap=coverage.crown_overlap,
             coverage=float(regions.coverage[row]),
-            key=sites.keys[row] ^ np.uint64(number),
-            fixed_xy=None if sites.fixed_xy is None else sites.fixed_xy[fixed],
-            fixed_radius_m=None if sites.fixed_radius_m is None else sites.fixed_radius_m[fixed],
+            key=sites.keys[row] ^ np.uint64(grid.salt),
+            fixed_xy=standing[:, :2],
+            fixed_radius_m=standing[:, 2],
         )
-        yield np.column_stack((crowns.xy, crowns.radius_m))
+        found = np.column_stack((crowns.xy, crowns.radius_m))
+        standing = np.concatenate((standing, found))
+        yield found
 
 
 def _variance(sites: Sites, row: int, settings: Placement) -> float:
@@ -120,15 +118,44 @@ def _variance(sites: Sites, row: int, settings: Placement) -> float:
     return value**2 if settings.sigma_is == "sd" else value
 
 
-def _grids(region: shapely.Geometry, ground: shapely.Geometry) -> Iterator[tuple[shapely.Geometry, shapely.Geometry]]:
-    """Yield the region and its ground, in one piece where a grid holds it, else part by part."""
-    west, south, east, north = shapely.bounds(region)
-    if (east - west) * (north - south) <= CELLS_MAX * CELL_M**2:
-        yield region, ground
+@dataclass(frozen=True)
+class _Grid:
+    """Cells that crowns are fitted on, and the region and the ground on them."""
+
+    shapes: Shapes
+    x0: float
+    y_top: float
+    height: int
+    width: int
+    salt: int
+
+
+def _grids(region: shapely.Geometry, ground: shapely.Geometry) -> Iterator[_Grid]:
+    """Yield one grid around the region, or squares of a fixed net, from the north-west on.
+
+    A square ends where the next begins: the fit takes what lies beyond a grid for unknown, not for open ground, so
+    that crowns reach over the seam, and those of the next square find them standing.
+    """
+    if shapely.is_empty(region):
         return
-    parts = shapely.get_parts(region)
-    boxes = np.asarray(shapely.box(*shapely.bounds(parts).T))
-    yield from zip(parts, np.asarray(shapely.intersection(ground, boxes)), strict=True)
+    west, south, east, north = (float(value) for value in shapely.bounds(region))
+    width, height = int(np.ceil((east - west) / CELL_M)), int(np.ceil((north - south) / CELL_M))
+    if width * height <= CELLS_MAX:
+        shapes = np.array([region, ground], dtype=object)
+        rim_m = RIM_CELLS * CELL_M
+        yield _Grid(shapes, west - rim_m, north + rim_m, height + 2 * RIM_CELLS, width + 2 * RIM_CELLS, 0)
+        return
+    side_m = SQUARE_CELLS * CELL_M
+    shapely.prepare(region)
+    for line in range(int(np.floor(north / side_m)), int(np.floor(south / side_m)) - 1, -1):
+        for column in range(int(np.floor(west / side_m)), int(np.floor(east / side_m)) + 1):
+            x0, y_top = column * side_m, (line + 1) * side_m
+            bounds = (x0, y_top - side_m, x0 + side_m, y_top)
+            if not shapely.intersects(region, shapely.box(*bounds)):
+                continue
+            shapes = np.array([shapely.clip_by_rect(item, *bounds) for item in (region, ground)], dtype=object)
+            salt = (column * 0x9E3779B1 ^ line * 0x85EBCA77) & 0xFFFFFFFF
+            yield _Grid(shapes, x0, y_top, SQUARE_CELLS, SQUARE_CELLS, salt)
 
 
 def _into_ground(xy: NDArray[np.float64], ground: shapely.Geometry) -> NDArray[np.float64]:

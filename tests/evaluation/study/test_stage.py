@@ -100,6 +100,11 @@ def test_haste_and_gaps_are_told(study, plan, tmp_path):
         {"answers": ["left"]},
         {"answers": [{"trial_id": "9999", "choice": "left"}]},
         {"answers": []},
+        {"answers": 5},
+        {"answers": None},
+        {"run": None},
+        {"run": ["ann"]},
+        {"answers": [{"trial_id": "0000", "left": [1], "right": {}, "choice": ["left"]}]},
     ],
 )
 def test_other_answers_are_refused(study, plan, tmp_path, changes):

@@ -102,10 +102,12 @@ def score_study(study: Path, answers: Sequence[Path], *, seed: int = 0) -> Study
     seen: dict[str, tuple[Path, dict[str, Any]]] = {}
     for file in files:
         record = _read_json(file, ANSWERS_FORMAT, "answers saved by the questionnaire")
-        run = str(record.get("run"))
+        run = record.get("run")
+        if not isinstance(run, str) or not isinstance(record.get("answers"), list):
+            raise InputError("this file was not saved by the questionnaire", where=file, expected="a run and answers")
         if run in seen:
             notices.add("W_ANSWERS_TWICE", "files of a sitting that another file tells whole", 1, [file.name])
-            if len(record.get("answers", ())) <= len(seen[run][1].get("answers", ())):
+            if len(record["answers"]) <= len(seen[run][1]["answers"]):
                 continue
         seen[run] = (file, record)
     for file, record in seen.values():
@@ -168,11 +170,19 @@ def _answers_of(record: Mapping[str, Any], design: Design, file: Path, notices: 
     trials = {trial.trial_id: trial for trial in design.trials}
     rows: dict[str, tuple[str, str, bool, bool]] = {}
     hasty = 0
-    for item in record.get("answers") or ():
-        trial = trials.get(str(item.get("trial_id"))) if isinstance(item, dict) else None
-        sides = {side: item.get(side) for side in ("left", "right")} if isinstance(item, dict) else {}
-        choice = item.get("choice") if isinstance(item, dict) else None
-        if trial is None or choice not in sides or set(sides.values()) != {trial.real, trial.other}:
+    for item in record["answers"]:
+        told = item if isinstance(item, dict) else {}
+        left, right, choice = (told.get(name) for name in ("left", "right", "choice"))
+        trial = trials.get(str(told.get("trial_id")))
+        if (
+            trial is None
+            or choice not in ("left", "right")
+            or [left, right]
+            not in (
+                [trial.real, trial.other],
+                [trial.other, trial.real],
+            )
+        ):
             raise InputError(
                 "an answer that this study did not ask for",
                 where=file,
@@ -181,11 +191,17 @@ def _answers_of(record: Mapping[str, Any], design: Design, file: Path, notices: 
             )
         milliseconds = item.get("milliseconds")
         hasty += isinstance(milliseconds, int | float) and milliseconds < HASTE_MS
-        rows[trial.trial_id] = (trial.lot_id, trial.category, sides[choice] == trial.other, choice == "left")
+        rows[trial.trial_id] = (
+            trial.lot_id,
+            trial.category,
+            (left if choice == "left" else right) == trial.other,
+            choice == "left",
+        )
     notices.add("W_HASTY", f"answers given within {HASTE_MS} ms, counted all the same", int(hasty), [file.name])
     short = len(design.trials) - len(rows)
     notices.add("W_UNANSWERED", "questions that a rater left out", short, [file.name] if short else [])
-    rater = f"{record.get('rater')} {record.get('run')}" if record.get("rater") != record.get("run") else record["run"]
+    rater, run = record.get("rater"), record["run"]
+    rater = run if rater in (None, run) else f"{rater} {run}"
     values = list(rows.values())
     return Answers(
         np.full(len(values), str(rater), dtype=object),
