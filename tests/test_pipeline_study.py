@@ -109,6 +109,28 @@ def test_the_command_writes_a_kit_beside_the_city_and_scores_what_comes_back(pla
         assert runner(*line[:-1], wrong, "--overwrite").exit_code == 2
 
 
+def test_the_register_of_another_city_is_refused(planted, tmp_path, tiny_city):
+    out, real = planted
+    layers = {name: gpd.read_file(tiny_city, layer=name) for name in ("lots", "buildings")}
+    elsewhere = tmp_path / "elsewhere.gpkg"
+    for name, frame in layers.items():
+        frame.geometry = frame.translate(500.0, 0.0)
+        frame.to_file(elsewhere, layer=name)
+    other = tmp_path / "other"
+    assert guarded(["populate", str(elsewhere), "-o", str(other), "--until", "place", "-q"]) == 0
+    with pytest.raises(InputError, match="another city"):
+        make_study(out / "register.gpkg", tmp_path / "s", observed=str(real), also={"rules": other / "register.gpkg"})
+
+
+def test_other_settings_make_another_study(planted, tmp_path):
+    out, real = planted
+    ids = []
+    for name, least in (("one", 2), ("two", 1)):
+        make_study(out / "register.gpkg", tmp_path / name, observed=str(real), lots_shown=1, min_plants=least)
+        ids.append(json.loads((tmp_path / name / "key.json").read_text())["study_id"])
+    assert ids[0] != ids[1]
+
+
 def test_a_city_without_known_plants_in_its_lots_is_refused(planted, tmp_path):
     out, real = planted
     with pytest.raises(InputError, match="no lot can be shown"):

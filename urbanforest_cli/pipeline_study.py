@@ -25,7 +25,13 @@ from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.publish import sha256_of
 from urbanforest_cli.core.randomness import keys_for, rng_for
 from urbanforest_cli.evaluation.results import PlantsOfLots
-from urbanforest_cli.evaluation.stage import RegisterLots, placed_plants, real_plants, register_lots
+from urbanforest_cli.evaluation.stage import (
+    RegisterLots,
+    placed_plants,
+    real_plants,
+    refuse_another_city,
+    register_lots,
+)
 from urbanforest_cli.evaluation.study.stage import StudySummary, refuse_other_folder, write_study
 from urbanforest_cli.evaluation.study.trials import (
     LOTS_SHOWN,
@@ -121,6 +127,8 @@ def make_study(
     around = _around(register, working)
     if taken := {PLACED, REAL, RANDOM} & set(also or {}):
         raise InputError("this name is taken", found=", ".join(sorted(taken)), expected="another, as rules")
+    for path in (also or {}).values():
+        refuse_another_city(path, register)
     also = {PLACED: register, **(also or {})}
     looks = {name: _looks(path, around.lots, working, notices) for name, path in also.items()}
     real = real_plants(observed, around.lots, working, assume_crs, notices)
@@ -131,9 +139,8 @@ def make_study(
     observed_path = Path(split_source(observed)[0])
     inputs = {name: sha256_of(path) for name, path in also.items()}
     inputs["observed"] = sha256_of(observed_path) if observed_path.is_file() else observed_path.name
-    plan = design(
-        [ids[row] for row in rows], [*also, RANDOM], seed=seed, fingerprint=f"{sorted(inputs.items())} {lots_shown}"
-    )
+    fingerprint = f"{sorted(inputs.items())} {observed_path.name}:{split_source(observed)[1]} {lots_shown} {min_plants}"
+    plan = design([ids[row] for row in rows], [*also, RANDOM], seed=seed, fingerprint=fingerprint)
     row_of = {ids[row]: row for row in rows}
     pictures = {}
     for done, picture in enumerate(plan.pictures, start=1):
@@ -141,7 +148,11 @@ def make_study(
         pictures[picture.name] = _png(around, row, _crowns(picture, row, around, looks, real, seed))
         progress("drawing lots", done, len(plan.pictures))
     write_study(
-        folder, plan, pictures, title=title or "Which planting looks more realistic?", made_of={"seed": seed, **inputs}
+        folder,
+        plan,
+        pictures,
+        title=title or "Which planting looks more realistic?",
+        made_of={"seed": seed, "inputs": inputs},
     )
     summary_counts: dict[str, int | float | str] = {
         "lots": len(rows), "pictures": len(plan.pictures), "pairs": len(plan.trials),

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 PNG_HEAD = b"\x89PNG\r\n\x1a\n"
 OBSERVED_LAYER, BUILDINGS_LAYER = "observed_plants", "buildings"
+SAME_LOT_M, SAME_LOTS_LEAST = 1.0, 0.9
 ORIGINS = ("sketch", "register", "road")  # a plant in two lots belongs to the first of these
 
 
@@ -127,6 +128,7 @@ def evaluate_register(
     require_record(register, "place")
     if rules is not None:
         require_record(rules, "place")
+        refuse_another_city(rules, register)
     lots = register_lots(register, working)
     summary = EvaluationSummary(stage="evaluate", output=plot or register, notices=notices)
     if observed is not None:
@@ -194,6 +196,29 @@ def register_lots(register: Path, working: CRS) -> RegisterLots:
     order = np.lexsort((ids.astype(str), rank))
     order = order[usable[order]]
     return RegisterLots(ids[order], polygons[order], pd.Index(ids[order]))
+
+
+def refuse_another_city(other: Path, register: Path) -> None:
+    """Refuse a register whose lots lie elsewhere than those of the same ids do: it is of another city.
+
+    Raises
+    ------
+    InputError
+        Fewer than nine in ten of the lots that both have lie within a metre of one another.
+    """
+    working = require_record(register, "stencil").working_crs
+    one, two = register_lots(register, working), register_lots(other, working)
+    rows = two.index.get_indexer(one.index)
+    both = np.flatnonzero(rows >= 0)
+    apart = shapely.distance(shapely.centroid(one.polygons[both]), shapely.centroid(two.polygons[rows[both]]))
+    same = int((apart <= SAME_LOT_M).sum())
+    if same < SAME_LOTS_LEAST * max(len(both), 1):
+        raise InputError(
+            "this is a register of another city",
+            where=other,
+            found=f"{same} lots in common of {len(one.ids)} in {register} and {len(two.ids)} here",
+            expected="the same lots, planted otherwise",
+        )
 
 
 def placed_plants(register: Path, lots: RegisterLots, working: CRS, notices: Notices) -> PlantsOfLots:

@@ -36,7 +36,7 @@ def as_wide_as_seen(
 
     That is when an open-grown one is a little wider: more, where neighbours of the lot stand close. A crown wider than
     its species ever grows gets the lot's dominant species if that is wide enough, else another of the city's that is,
-    the same for all such crowns of the lot; where none is, the widest. Ages are bounded by the species' lifespan, not
+    in an order of the lot's own; where none is, the widest. Ages are bounded by the species' lifespan, not
     by the zone's oldest age: the map shows what is there.
 
     Parameters

@@ -85,7 +85,8 @@ def place_plants(
 
     Reads layers ``lots``, ``active_areas``, ``parameters`` and, where they are, ``regions`` and ``observed``; writes
     ``plants``, ``placements``, its rows of ``skipped`` and one provenance record. Lots with regions are filled from
-    them, all others by their strategies; observed plants stand as they are and the rest keeps clear of them. The
+    them, all others by their strategies; observed plants stand as they are, positions of strategies keep
+    clear of them and crowns of regions are fitted to what they leave bare. The
     result depends on the inputs and the seed alone, not on the order of lots or the number of workers.
 
     Parameters
