@@ -15,9 +15,8 @@ FORMAT_VERSION = 1
 NETWORKS = ("informed", "paper")
 MOST_PARAMETERS, MOST_FEATURES = 32, 1024
 PARAMETER_OPERATORS = OPERATORS | {
-    "Exp", "Flatten", "Gemm", "GlobalAveragePool", "GlobalMaxPool", "MatMul", "ReduceMean", "Slice", "Softmax",
-    "Sqrt",
-    "Unsqueeze",
+    "Exp", "Flatten", "Gemm", "GlobalAveragePool", "GlobalMaxPool", "Log", "MatMul", "ReduceMean", "Slice", "Softmax",
+    "Sqrt", "Unsqueeze",
 }  # fmt: skip
 """Those of coverage models, and what brings a window to a few numbers."""
 

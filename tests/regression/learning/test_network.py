@@ -21,6 +21,7 @@ from urbanforest_cli.regression.learning.network import (  # noqa: E402
 )
 from urbanforest_cli.regression.learning.samples import LEVELS  # noqa: E402
 from urbanforest_cli.regression.learning.settings import INFORMED, PAPER  # noqa: E402
+from urbanforest_cli.regression.learning.sureness import scaled_weight  # noqa: E402
 from urbanforest_cli.regression.learning.training import build_network  # noqa: E402
 
 
@@ -97,11 +98,18 @@ def test_knowing_nothing_is_the_uniform_prior():
 def test_sureness_narrows_spreads_and_leaves_means():
     network, pairs = network_of()
     before = read(network, pairs)
-    network.set_sureness(np.array([4.0, 1, 1, 1, 1, 1]))
+    network.set_sureness(np.array([4.0, 1, 1, 1, 1, 1]), np.ones(6))
     after = read(network, pairs)
     assert np.array_equal(before[0], after[0])
     assert (after[1][:, 0] < 0.75 * before[1][:, 0]).all()
     assert np.array_equal(before[1][:, 1:], after[1][:, 1:])
+    mean, weight, _ = network(
+        *(torch.from_numpy(one) for one in (network_input(pairs.windows, pairs.pixel_m), pairs.features))
+    )
+    network.set_sureness(np.full(6, 1.3), np.full(6, 1.2))
+    scaled = scaled_weight(weight.numpy().astype(float), 1.3, 1.2)[:, :5]
+    means = mean.numpy()[:, :5]
+    assert read(network, pairs)[1][:, :5] == pytest.approx(np.sqrt(means * (1 - means) / (scaled + 1)), rel=1e-4)
 
 
 def test_the_papers_network_states_its_usual_error_and_no_strategy():

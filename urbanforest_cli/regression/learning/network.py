@@ -26,6 +26,7 @@ from urbanforest_cli.core.parameter_model import (
     VALUE_OUTPUT,
     WINDOW_INPUT,
 )
+from urbanforest_cli.regression.learning.sureness import MIDDLE_WEIGHT
 
 OPSET = 17
 LEVELS, FILTERS = 5, 32
@@ -126,6 +127,7 @@ class InformedNetwork(nn.Module):
     shift: Tensor
     dither: Tensor
     sureness: Tensor
+    sureness_power: Tensor
 
     def __init__(
         self, encoding: Encoding, levels: NDArray[np.float32], dense: tuple[int, ...], members: int, dropout: float
@@ -160,14 +162,16 @@ class InformedNetwork(nn.Module):
         weights = (LEAST_WEIGHT + torch.exp(raw[:, :, count : 2 * count].clamp(-4.0, 8.0))).clamp(max=MOST_WEIGHT)
         return means, weights, raw[:, :, 2 * count :]
 
-    def set_sureness(self, factor: NDArray[np.float64]) -> None:
-        """Multiply the concentrations that `read` goes by with (parameter,) factors from now on."""
+    def set_sureness(self, factor: NDArray[np.float64], power: NDArray[np.float64]) -> None:
+        """Scale the concentrations that `read` goes by, as `sureness.scaled_weight` does, each (parameter,)."""
         self.sureness.copy_(torch.from_numpy(factor))
+        self.sureness_power.copy_(torch.from_numpy(power))
 
     def read(self, window: Tensor, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return means, spreads and strategies as the model states them."""
         mean, weight, logits = self(window, features)
-        variance = mean * (1.0 - mean) / (weight * self.sureness + 1.0)
+        scaled = self.sureness * MIDDLE_WEIGHT * torch.exp(self.sureness_power * torch.log(weight / MIDDLE_WEIGHT))
+        variance = mean * (1.0 - mean) / (scaled + 1.0)
         value = (mean * self.stretch - self.shift).clamp(0.0, 1.0)
         variance = variance * self.stretch * self.stretch - self.dither
         return value, variance.clamp(min=LEAST_SPREAD**2).sqrt(), torch.softmax(logits, 1)
@@ -270,5 +274,6 @@ def _buffers(encoding: Encoding, levels: NDArray[np.float32]) -> dict[str, Tenso
         "shift": np.where(whole, 0.5 / parts, 0.0),
         "dither": np.where(whole, 1.0 / (12.0 * parts**2), 0.0),
         "sureness": np.ones_like(levels),
+        "sureness_power": np.ones_like(levels),
     }
     return {name: torch.from_numpy(np.array(value, np.float32)) for name, value in constants.items()}

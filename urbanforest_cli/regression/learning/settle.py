@@ -13,7 +13,7 @@ from urbanforest_cli.core.schema import REGRESSED
 from urbanforest_cli.regression.learning.samples import HIGH, LEVELS, LOW, STREAM, Parted, shares, spread_shares
 from urbanforest_cli.regression.learning.scores import errors_by_parameter, nearness_by_parameter, r2_by_parameter
 from urbanforest_cli.regression.learning.sheets import Said
-from urbanforest_cli.regression.learning.sureness import INTERVALS, interval_shares, sureness_factors
+from urbanforest_cli.regression.learning.sureness import INTERVALS, interval_shares, scaled_weight, sureness
 from urbanforest_cli.regression.pair_table import PairTable
 
 if TYPE_CHECKING:
@@ -39,30 +39,29 @@ def figures(trainer: Trainer, pairs: PairTable) -> dict[str, Any]:
 def settle(trainer: Trainer, parts: Parted) -> dict[str, Any]:
     """Set a network's spreads right by the calibration pairs, and score it on the validation pairs.
 
-    The paper's network gets its root mean squared errors as spreads; another one's concentrations are multiplied so
-    that central intervals hold what they say.
+    The paper's network gets its root mean squared errors as spreads; another one's concentrations are scaled so that
+    central intervals hold what they say.
     """
     from urbanforest_cli.regression.learning.network import InformedNetwork
 
     stated = trainer.state_of(parts.calibration)
-    scores: dict[str, Any] = {"validation": _rounded(figures(trainer, parts.validation))}
+    scores: dict[str, Any] = {"validation": _rounded(figures(trainer, parts.validation)), "sureness": {}}
     if not isinstance(trainer.network, InformedNetwork):
         errors = errors_by_parameter(
             stated.mean, shares(parts.calibration.values).astype(np.float64), parts.calibration.used
         )
         trainer.network.set_spread(errors)
         return scores
-    factors = sureness_factors(stated.mean, stated.weight, _truth(parts.calibration), parts.calibration.used)
-    trainer.network.set_sureness(factors)
+    factors, powers = sureness(stated.mean, stated.weight, _truth(parts.calibration), parts.calibration.used)
+    trainer.network.set_sureness(factors, powers)
     judged, truth = trainer.state_of(parts.validation), _truth(parts.validation)
-    scores["validation"]["intervals"] = {
-        name: dict(zip(map(str, INTERVALS), np.round(interval_shares(
-            judged.mean[rows, number], factors[number] * judged.weight[rows, number], truth[rows, number]
-        ), 4).tolist(), strict=True))
-        for number, name in enumerate(REGRESSED)
-        for rows in [parts.validation.used[:, number]]
-    }  # fmt: skip
-    scores["sureness"] = dict(zip(REGRESSED, np.round(factors, 4).tolist(), strict=True))
+    scores["validation"]["intervals"] = {}
+    for number, name in enumerate(REGRESSED):
+        rows = parts.validation.used[:, number]
+        weight = scaled_weight(judged.weight[rows, number], factors[number], powers[number])
+        held = interval_shares(judged.mean[rows, number], weight, truth[rows, number])
+        scores["validation"]["intervals"][name] = _rounded(dict(zip(map(str, INTERVALS), held.tolist(), strict=True)))
+        scores["sureness"][name] = _rounded([float(factors[number]), float(powers[number])])
     return scores
 
 
@@ -95,4 +94,6 @@ def _shift() -> NDArray[np.float64]:
 def _rounded(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _rounded(one) for name, one in value.items()}
+    if isinstance(value, list):
+        return [_rounded(one) for one in value]
     return round(value, DIGITS)
