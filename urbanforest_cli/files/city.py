@@ -42,9 +42,18 @@ def city_inputs(city: Path) -> list[dict[str, str]]:
 
 
 def inputs_beside(path: Path) -> list[dict[str, str]]:
-    """Return names and hashes of a map or a sketch: the file, and what stands beside it and says where it lies."""
-    sides = [path.with_name(path.name + ".aux.xml"), *(path.with_suffix(suffix) for suffix in PLACE_SUFFIXES)]
-    files = [path, *(side for side in sides if side.is_file() and side != path)]
+    """Return names and hashes of a map or a sketch: the file, and what stands beside it and belongs to it.
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    """
+    if not path.is_file():
+        raise InputError("no such file", where=path, next_step="check the name of the map or the sketch")
+    beside = [path.with_name(path.name + ending) for ending in (".aux.xml", "-wal")]
+    beside += [path.with_suffix(suffix) for suffix in dict.fromkeys((*PLACE_SUFFIXES, *SIDECARS))]
+    files = [path, *(side for side in beside if side.is_file() and side != path)]
     return [{"name": item.name, "sha256": sha256_of(item)} for item in files]
 
 

@@ -24,6 +24,8 @@ PIXELS_MOST = 36_000_000
 SUFFIXES = (".png", ".tif", ".tiff")
 COLOURED = 24
 """Difference of a pixel's channels from which on it is a colour and no shade of gray."""
+FLAT_LEAST, GRAIN_SPEAKS_FROM = 0.3, 1000
+"""Least share of painted neighbours that are alike: aerial images have at most 0.09, paint 0.99 and more."""
 KINDS_MOST = 32
 """Colours, or shades, that a painting has at most where it cannot be told from a photograph otherwise."""
 SCARCE = 0.01
@@ -176,6 +178,7 @@ def _of_numbers(values: NDArray[Any], seen: NDArray[np.bool_], path: Path) -> ND
         ) from error  # fmt: skip
     percent = np.where(seen & (percent <= 100), percent, np.uint8(0))
     _refuse_photograph(percent, None, path)
+    _refuse_grain(percent[None], percent > 0, path)
     return percent
 
 
@@ -193,6 +196,7 @@ def _of_colours(rgb: NDArray[np.uint8], seen: NDArray[np.bool_], path: Path) -> 
         percent[coloured] = np.where(bright[coloured] >= least, 100, 0)
     if whole:
         _refuse_photograph(percent, rgb[:, coloured], path)
+    _refuse_grain(rgb, percent > 0, path)
     return percent
 
 
@@ -221,6 +225,24 @@ def _refuse_photograph(percent: NDArray[np.uint8], coloured: NDArray[np.uint8] |
         expected="paint on transparent or black ground",
         next_step="paint on a layer of its own, above the image, and save that layer alone as PNG",
     )  # fmt: skip
+
+
+def _refuse_grain(bands: NDArray[np.uint8], painted: NDArray[np.bool_], path: Path) -> None:
+    """Refuse (band, row, col) samples that change from pixel to pixel: paint is flat, and photographs never are.
+
+    Raises
+    ------
+    InputError
+        Of neighbours that are both painted, few are alike.
+    """
+    both = painted[:, 1:] & painted[:, :-1]
+    alike = float((bands[:, :, 1:] == bands[:, :, :-1]).all(axis=0)[both].mean()) if both.any() else 1.0
+    if both.sum() >= GRAIN_SPEAKS_FROM and alike < FLAT_LEAST:
+        raise InputError(
+            "this is a photograph, or another picture that is not painted", where=path,
+            found=f"{alike:.0%} of neighbouring pixels alike", expected="paint on transparent or black ground",
+            next_step="paint on a layer of its own, above the image, and save that layer alone as PNG",
+        )  # fmt: skip
 
 
 def _kinds(colours: NDArray[np.uint8]) -> int:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from urbanforest_cli.core.config import Coverage
 from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.progress import Progress
-from urbanforest_cli.register.packed import PackedShapes
+from urbanforest_cli.register.packed import PackedShapes, give_back
 from urbanforest_cli.register.plantable import Taken
 from urbanforest_cli.register.region_polygons import inside, stem_ground
 from urbanforest_cli.register.regions import CoveredMap, Owners, cut_regions
@@ -127,6 +127,7 @@ def fill_from_map(
         shapes, owners, covered, smallest_region_m2=config.smallest_region_m2, workers=workers,
         report=partial(progress, "cutting the map into lots"),
     )  # fmt: skip
+    give_back()
     seen = usable & (found.seen_fraction >= config.seen_least)
     without = found.shapes.missing
     filled = replace(nothing_filled(len(shapes)), regions=found.shapes)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+
+AT_A_TIME = 4096
+"""Shapes whose bytes are taken out of their blocks together."""
 
 Shapes = NDArray[Any]
 
@@ -62,13 +67,25 @@ class PackedShapes:
 
     def get(self, rows: NDArray[np.integer]) -> Shapes:
         """Return the shapes of some units, None for none."""
-        packed = np.full(len(rows), None, dtype=object)
-        block, start = self._block[rows].tolist(), self._start[rows].tolist()
-        end = (self._start[rows] + self._size[rows]).tolist()
-        for k in np.flatnonzero(self._block[rows] >= 0).tolist():
-            packed[k] = self._blocks[block[k]][start[k] : end[k]]
-        shapes: Shapes = np.asarray(shapely.from_wkb(packed), dtype=object)
+        shapes: Shapes = np.full(len(rows), None, dtype=object)
+        there = np.flatnonzero(self._block[rows] >= 0)
+        for begin in range(0, len(there), AT_A_TIME):
+            some = there[begin : begin + AT_A_TIME]
+            block, start = self._block[rows[some]], self._start[rows[some]]
+            where = zip(block.tolist(), start.tolist(), (start + self._size[rows[some]]).tolist(), strict=True)
+            shapes[some] = shapely.from_wkb([self._blocks[k][first:end] for k, first, end in where])
         return shapes
+
+
+def give_back() -> None:
+    """Give memory that is free back to the system, where libraries can: threads and tables leave it in holes."""
+    arrow = sys.modules.get("pyarrow")
+    if arrow is not None:
+        arrow.default_memory_pool().release_unused()
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc has it
+        if trim is not None:
+            trim(0)
 
 
 def packed(shapes: Shapes) -> PackedShapes:

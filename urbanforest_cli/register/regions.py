@@ -44,7 +44,7 @@ REACH_M = 6.0
 """Distances to open ground are not told apart beyond this."""
 TOLERANCE_M = 0.08
 """Corners of outlines nearer to the line are left out."""
-BLOCK_CELLS = 768
+BLOCK_CELLS = 1024
 LONG_CELLS = 1536
 """Lots longer than this are cut tile by tile."""
 TILE_CELLS = 1024

@@ -140,6 +140,21 @@ def cleaned(percent, threshold, least_cells):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _along_columns(wanted, cap):
+    """Return (h, w) int32 distances in cells to the nearest wanted cell of the same column, at most one above `cap`."""
+    height, width = wanted.shape
+    along = np.empty((height, width), np.int32)
+    for i in range(height):
+        for j in range(width):
+            before = along[i - 1, j] if i else cap + 1
+            along[i, j] = 0 if wanted[i, j] else min(before + 1, cap + 1)
+    for i in range(height - 2, -1, -1):
+        for j in range(width):
+            along[i, j] = min(along[i, j], along[i + 1, j] + 1)
+    return along
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def squared_distances(wanted, cap):
     """Return (h, w) int32 squared distances in cells to the nearest wanted cell, exact up to `cap` cells.
 
@@ -147,16 +162,7 @@ def squared_distances(wanted, cap):
     """
     height, width = wanted.shape
     far = (cap + 1) * (cap + 1)
-    along = np.empty((height, width), np.int32)
-    for j in range(width):
-        run = cap + 1
-        for i in range(height):
-            run = 0 if wanted[i, j] else min(run + 1, cap + 1)
-            along[i, j] = run
-        run = cap + 1
-        for i in range(height - 1, -1, -1):
-            run = 0 if wanted[i, j] else min(run + 1, cap + 1)
-            along[i, j] = min(along[i, j], run)
+    along = _along_columns(wanted, cap)
     found = np.empty((height, width), np.int32)
     for i in range(height):
         for j in range(width):
@@ -255,11 +261,18 @@ def reaching(depth, whose, cap):
                 border[i, j] = border[i + 1, j] = True
             if j + 1 < width and depth[i, j + 1] > 0 and whose[i, j + 1] != whose[i, j]:
                 border[i, j] = border[i, j + 1] = True
-    squared = squared_distances(border, math.ceil(cap) + 1)
+    along = _along_columns(border, math.ceil(cap) + 1)
     found = np.zeros((height, width), np.bool_)
     for i in range(height):
         for j in range(width):
-            found[i, j] = whose[i, j] >= 0 and depth[i, j] + 1.0 > math.sqrt(squared[i, j])
+            if whose[i, j] < 0:
+                continue
+            reach = depth[i, j] + 1.0
+            span = math.ceil(reach) - 1
+            for c in range(max(j - span, 0), min(j + span + 1, width)):
+                if reach > math.sqrt((c - j) ** 2 + along[i, c] * along[i, c]):
+                    found[i, j] = True
+                    break
     return found
 
 

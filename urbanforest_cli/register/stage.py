@@ -41,6 +41,7 @@ from urbanforest_cli.register.layers import (
 )
 from urbanforest_cli.register.lots import Lots, clean_lots, refuse_doubles
 from urbanforest_cli.register.observed import observed_plants_of
+from urbanforest_cli.register.packed import give_back
 from urbanforest_cli.register.painted import painted_sketches
 from urbanforest_cli.register.plantable import Taken
 from urbanforest_cli.register.refusals import note_what_is_missing, refuse_apart
@@ -194,6 +195,7 @@ def stencil_city(
     taken = ground_taken(whole, lots, streets.strips, sketches, config, notices)
     ground = ground_of(whole, lots.checked, around, taken, config, workers, progress)
     del around
+    give_back()
     usable = usable_units(whole, lots.checked)
     filled = nothing_filled(len(whole.ids))
     if coverage is not None:
@@ -202,6 +204,7 @@ def stencil_city(
             notices, progress,
         )  # fmt: skip
     fill_from_paint(filled, whole, shares, buildings.shapes, road_surfaces(roads), config.coverage, workers)
+    ground = ground.without(filled.decided)
     observed = None
     if known is not None:
         shapes = only(whole.shapes, usable)

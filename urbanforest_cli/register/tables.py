@@ -12,6 +12,7 @@ import shapely
 from urbanforest_cli.register.covered import Filled
 from urbanforest_cli.register.layers import Buildings, road_surfaces
 from urbanforest_cli.register.lots import Lots, user_columns
+from urbanforest_cli.register.packed import give_back
 from urbanforest_cli.register.resolve import with_resolved
 from urbanforest_cli.register.streets import Roads
 from urbanforest_cli.register.units import Plantable, Units
@@ -20,12 +21,16 @@ BAD_REASONS = ("no_geometry", "not_finite", "broken_ring", "not_polygon", "mispl
 
 
 class OnDemand(Mapping[str, pd.DataFrame]):
-    """Layers that are made when they are asked for, each time, so that one is there at a time."""
+    """Layers that are made when they are asked for, each time, so that few are there at a time.
+
+    Whoever goes through them holds the last while the next is made: small layers stand between large ones.
+    """
 
     def __init__(self, makers: Mapping[str, Callable[[], pd.DataFrame]]) -> None:
         self._makers = makers
 
     def __getitem__(self, name: str) -> pd.DataFrame:
+        give_back()
         return self._makers[name]()
 
     def __iter__(self) -> Iterator[str]:
@@ -57,7 +62,7 @@ def counts_of(
         "sketches": int((origins == "sketch").sum()),
         "pieces_dropped": int(ground.dropped_parts.sum()),
         "area_m2": round(float(np.nansum(shapely.area(whole.shapes[origins == "register"]))), 1),
-        "plantable_area_m2": round(float(ground.areas.area_m2.sum()), 1),
+        "plantable_area_m2": round(float(ground.area_m2.sum()), 1),
     }
     if filled.decided.any():
         counts |= {
@@ -88,20 +93,19 @@ def tables_of(
             "zone": whole.zones,
             "origin": whole.origins,
             "area_m2": np.nan_to_num(shapely.area(whole.shapes)),
-            "plantable_area_m2": ground.areas.area_m2,
+            "plantable_area_m2": ground.area_m2,
             "covered_fraction": filled.covered_fraction,
             "seen_fraction": filled.seen_fraction,
             **user_columns(attributes, len(whole.ids), lots),
         }
     )
-    parameters = with_resolved(whole.parameters)[~shapely.is_missing(whole.shapes)]
     built = pd.DataFrame({"building_id": buildings.ids, "height_m": buildings.height_m})
     surfaces = pd.DataFrame({"road_id": roads.ids.astype(str), "width_m": roads.widths_m})
     return {
         "lots": lambda: gpd.GeoDataFrame(register_lots, geometry=lots.back(whole.shapes), crs=lots.crs),
         "active_areas": lambda: _active_areas(whole, ground, filled, lots),
+        "parameters": lambda: with_resolved(whole.parameters)[~shapely.is_missing(whole.shapes)],
         "regions": lambda: _regions(whole, filled, lots),
-        "parameters": lambda: parameters,
         "buildings": lambda: gpd.GeoDataFrame(built, geometry=lots.back(buildings.shapes), crs=lots.crs),
         "roads": lambda: gpd.GeoDataFrame(surfaces, geometry=lots.back(road_surfaces(roads)), crs=lots.crs),
         "skipped": lambda: skipped,

@@ -59,10 +59,20 @@ class Units:
 
 @dataclass(frozen=True)
 class Plantable:
-    """What the planting rules leave of each unit, none where nothing is, and how many pieces were dropped as small."""
+    """What the planting rules leave of each unit, none where nothing is, its size, and how many small pieces went."""
 
     areas: PackedShapes
+    area_m2: NDArray[np.float64]
     dropped_parts: NDArray[np.int64]
+
+    def without(self, rows: NDArray[np.bool_]) -> Plantable:
+        """Return the same without the shapes of some units, whose sizes stay."""
+        if not rows.any():
+            return self
+        kept = np.flatnonzero(~rows & ~self.areas.missing)
+        areas = PackedShapes(len(rows))
+        areas.put(kept, self.areas.get(kept))
+        return Plantable(areas, self.area_m2, self.dropped_parts)
 
 
 @dataclass
@@ -217,7 +227,8 @@ def ground_of(
     areas[roads] = regrouped(pieces, side_of, len(roads))
     dropped = np.bincount(rows, found.dropped_parts, minlength=count).astype(np.int64)
     dropped += np.bincount(roads[side_of], dropped_late, minlength=count).astype(np.int64)
-    return Plantable(packed(areas), dropped)
+    left = packed(areas)
+    return Plantable(left, left.area_m2, dropped)
 
 
 def usable_units(whole: Units, checked: Checked) -> NDArray[np.bool_]:
