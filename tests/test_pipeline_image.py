@@ -274,7 +274,7 @@ def test_an_image_or_map_of_another_place_is_refused_before_anything_is_done(cit
     else:
         write_raster(path, np.full((1, 20, 20), 100, np.uint8), crs=CRS, place=elsewhere)
     given = {what: (path,) if what == "images" else path}
-    with pytest.raises(InputError, match="lie apart") as caught:
+    with pytest.raises(InputError, match="no lot lies in the") as caught:
         populate(request(city, tmp_path / "out", **given))
     assert "x 500000 " in str(caught.value)
     assert "x 400012" in str(caught.value)

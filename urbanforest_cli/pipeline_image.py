@@ -109,7 +109,7 @@ def refuse_apart(
     Raises
     ------
     InputError
-        They lie apart; the text names both extents.
+        No lot lies in it; the text names both extents.
     """
     boxes = lot_boxes(city, lots_layer, assume_crs, grid.crs)
     west, south, east, north = grid.bounds
@@ -117,7 +117,7 @@ def refuse_apart(
     if len(boxes) and not inside.any():
         lots = (*boxes[:, :2].min(axis=0), *boxes[:, 2:].max(axis=0))
         raise InputError(
-            f"the {what} and the lots lie apart", where=where, found=f"{what} {_extent(grid.bounds)}",
+            f"no lot lies in the {what}", where=where, found=f"{what} {_extent(grid.bounds)}",
             expected=f"lots {_extent(lots)}, in {grid.crs.name}",
             next_step="check that both are of the same place, and their CRS",
         )  # fmt: skip

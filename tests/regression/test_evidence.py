@@ -98,24 +98,30 @@ def test_the_band_is_known_as_far_as_the_strategy_is():
 
 
 @pytest.mark.parametrize(
-    ("visible", "density", "strategy", "silent"),
+    ("visible", "density", "bare", "strategy", "silent"),
     [
-        (0, 0.5, (0, 1, 0), set(REGRESSED) - {"density"}),
-        (20, 0.05, (0, 1, 0), set(REGRESSED) - {"density"}),
-        (20, 0.5, (1, 0, 0), {"boundary_width_m", "cluster_radius_m", "cluster_count_max"}),
-        (20, 0.5, (0.1, 0.9, 0), {"cluster_radius_m", "cluster_count_max"}),
-        (20, 0.5, (0.1, 0, 0.9), {"boundary_width_m"}),
+        (0, 0.5, 0.9, (0, 1, 0), set(REGRESSED) - {"density"}),
+        (20, 0.05, 0.9, (0, 1, 0), set(REGRESSED) - {"density"}),
+        (1, 0.9, 0.01, (0, 1, 0), set(REGRESSED) - {"density"}),
+        (5, 0.9, 0.01, (0, 1, 0), {"cluster_radius_m", "cluster_count_max"}),
+        (20, 0.5, 0.9, (1, 0, 0), {"boundary_width_m", "cluster_radius_m", "cluster_count_max"}),
+        (20, 0.5, 0.9, (0.1, 0.9, 0), {"cluster_radius_m", "cluster_count_max"}),
+        (20, 0.5, 0.9, (0.1, 0, 0.9), {"boundary_width_m"}),
     ],
 )
-def test_what_cannot_be_known_is_not_said(visible, density, strategy, silent):
+def test_what_cannot_be_known_is_not_said(visible, density, bare, strategy, silent):
     evidence = evidence_of(lots=1, **windows(mean=0.8, strategy=strategy, visible=visible))
-    told = without_the_unknowable(evidence, seen=np.array([True]), density_read=np.array([density]))
+    told = without_the_unknowable(
+        evidence, seen=np.array([True]), density_read=np.array([density]), bare_share=np.array([bare])
+    )
     assert {name for name, spoke in zip(REGRESSED, told.spoke[0], strict=True) if not spoke} == silent
 
 
 def test_a_lot_that_the_map_does_not_know_says_nothing():
     evidence = evidence_of(lots=1, **windows(strategy=(0, 1, 0)))
-    told = without_the_unknowable(evidence, seen=np.array([False]), density_read=np.array([1.0]))
+    told = without_the_unknowable(
+        evidence, seen=np.array([False]), density_read=np.array([1.0]), bare_share=np.array([1.0])
+    )
     assert not told.spoke.any()
     assert told.strategy.tolist() == [[1 / len(STRATEGIES_READ)] * 3]
     assert told.visible.tolist() == [0]

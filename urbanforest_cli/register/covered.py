@@ -148,7 +148,7 @@ def fill_from_map(
     green = np.nan_to_num(found.covered_fraction) > 0
     for rows, reason, detail in (
         (without & ~green, "bare", "the map shows no vegetation on it"),
-        (without & green, "bare", "the map shows crowns of neighbours on it alone"),
+        (without & green, "bare", "what the map shows on it belongs to neighbours or to a sketch"),
         (~without, "no_room", "its vegetation lies over what is built or belongs to others"),
     ):
         mine = seen & ~rooted & rows

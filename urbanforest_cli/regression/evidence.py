@@ -20,6 +20,7 @@ UNIFORM_SPREAD = 12.0**-0.5
 """Standard deviation of a uniform distribution, as a share of its range."""
 LEAST_SPREAD = 0.02
 """No single map is believed to tell a value closer than this share of the range."""
+BARE_LEAST, OUTLINED_LEAST = 0.05, 3
 LOWEST_DENSITY = 0.1
 """Below it too few plants are left of a strategy for its other parameters to be read."""
 SURE_STRATEGY = 0.5
@@ -134,12 +135,13 @@ def _if_used(mean: Floats, spread: Floats, likely: Floats) -> tuple[Floats, Floa
     return mixed, np.sqrt(np.maximum(second - mixed**2, 0.0))
 
 
-def without_the_unknowable(evidence: Evidence, *, seen: Flags, density_read: Floats) -> Evidence:
+def without_the_unknowable(evidence: Evidence, *, seen: Flags, density_read: Floats, bare_share: Floats) -> Evidence:
     """Drop what a map cannot tell, whatever the network says of it.
 
-    Nothing is read where the map is not known. Where no plant can be told apart, or the density read is below
-    LOWEST_DENSITY, the map speaks of density alone; of the width of a boundary and of clusters only where these are
-    the likeliest strategy by half.
+    Nothing is read where the map is not known. The map speaks of density alone where no plant can be told apart, where
+    the density read is below LOWEST_DENSITY, and where a lot is covered all over so that no outline tells of crowns:
+    less than BARE_LEAST of it bare and fewer than OUTLINED_LEAST plants told apart. Of the width of a boundary and of
+    clusters it speaks only where these are the likeliest strategy by half.
 
     Parameters
     ----------
@@ -147,9 +149,12 @@ def without_the_unknowable(evidence: Evidence, *, seen: Flags, density_read: Flo
         (lot,) whether the map knows the lot.
     density_read
         (lot,) the network's density.
+    bare_share
+        (lot,) share of the lot that nothing covers.
     """
     told = np.repeat(seen[:, None], len(REGRESSED), axis=1)
-    planted = (evidence.visible > 0) & (density_read >= LOWEST_DENSITY)
+    outlined = (bare_share >= BARE_LEAST) | (evidence.visible >= OUTLINED_LEAST)
+    planted = (evidence.visible > 0) & (density_read >= LOWEST_DENSITY) & outlined
     for column, name in enumerate(REGRESSED):
         if name != "density":
             told[:, column] &= planted

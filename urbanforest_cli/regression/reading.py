@@ -83,3 +83,12 @@ def _in_runs(
     if not parts:
         return [np.zeros((0, width)) for width in widths]
     return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+
+def bare_shares(windows: LotWindows, lots: int) -> NDArray[np.float64]:
+    """Return the share of each lot that nothing covers, as its windows show it; 1 where there are none."""
+    own = windows.lot.astype(np.float64)
+    bare = (own * (100.0 - windows.coverage)).sum(axis=(1, 2)) / 100.0
+    ground = np.bincount(windows.owner, own.sum(axis=(1, 2)) * windows.pixel_m**2, minlength=lots)
+    open_ = np.bincount(windows.owner, bare * windows.pixel_m**2, minlength=lots)
+    return np.asarray(np.where(ground > 0, open_ / np.maximum(ground, 1e-9), 1.0))

@@ -32,9 +32,10 @@ from urbanforest_cli.files.parameter_models import ParameterSession, load_parame
 from urbanforest_cli.files.provenance import Record, note_settled_config, provenance_frame, require_record, stage_key
 from urbanforest_cli.regression.evidence import Evidence, joined, without_the_unknowable
 from urbanforest_cli.regression.fallback import MAP, NEIGHBOURHOOD, OWN, ZONE, Settled, settle
+from urbanforest_cli.regression.model_fit import refuse_other_version
 from urbanforest_cli.regression.pooling import Pooled, pool
 from urbanforest_cli.regression.pooling_kernel import KERNELS
-from urbanforest_cli.regression.reading import Network, ranges_of, read_windows
+from urbanforest_cli.regression.reading import Network, bare_shares, ranges_of, read_windows
 
 STAGE = "regress"
 LATER_STAGES = ("diffuse", "place", "grow", "export")
@@ -74,7 +75,7 @@ def regress_register(
     Raises
     ------
     InputError
-        The register was made without a coverage map, or the model cannot be used.
+        The register was made without a coverage map, or the model cannot be used or is for another version.
     SchemaError
         A layer is missing or breaks its requirements; the text names the command that writes it.
     """
@@ -82,6 +83,7 @@ def regress_register(
     stencil = require_record(register, "stencil")
     lots, parameters, regions = _read(register)
     loaded = load_parameter_model(model)
+    refuse_other_version(loaded.info, loaded.path)
     notices = Notices()
     note_settled_config(stencil, config, notices)
     announce_compile(KERNELS, progress)
@@ -169,7 +171,8 @@ def _evidence(
         batch = slice(start, start + LOTS_A_BATCH)
         windows = lot_windows(shapes[batch], vegetation, buildings)
         evidence, density = read_windows(network, info, windows, len(shapes[batch]))
-        return without_the_unknowable(evidence, seen=there[batch], density_read=density)
+        bare = bare_shares(windows, len(shapes[batch]))
+        return without_the_unknowable(evidence, seen=there[batch], density_read=density, bare_share=bare)
 
     parts = []
     with ThreadPoolExecutor(workers) as pool_of_threads:
