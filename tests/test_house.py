@@ -9,7 +9,8 @@ PACKAGE = Path(urbanforest_cli.__file__).parent
 FOUNDATIONS = {"core", "files"}
 TOP = {
     "main", "commands", "pipeline", "pipeline_alone", "pipeline_figures", "pipeline_growth_figures",
-    "pipeline_folder", "pipeline_image", "pipeline_pairs", "pipeline_sheet", "pipeline_study", "__main__",
+    "pipeline_folder", "pipeline_image", "pipeline_pairs", "pipeline_sheet", "pipeline_study", "pipeline_towns",
+    "__main__",
 }  # fmt: skip
 
 

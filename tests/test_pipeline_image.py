@@ -1,5 +1,6 @@
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -290,6 +291,20 @@ def test_other_files_that_cannot_be_used_are_refused_before_the_image_is_mapped(
     path = tmp_path / ("none.gpkg" if what == "sketch" else "none.onnx")
     with pytest.raises(InputError, match="none"):
         populate(request(city, tmp_path / "out", images=(image,), **{what: path}))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("source", ["image", "coverage"])
+def test_a_parameter_model_of_another_version_is_refused_before_any_work(city, image, tmp_path, monkeypatch, source):
+    given = {"images": (image,)}
+    if source == "coverage":
+        populate(request(city, tmp_path / "mapped", images=(image,), until="cover"))
+        given = {"coverage": tmp_path / "mapped" / "coverage.tif"}
+    no_mapping(monkeypatch)
+    other = SimpleNamespace(path=Path("m.onnx"), content=b"", sha256="0", info=replace(INFO, features=("crown_size",)))
+    monkeypatch.setattr("urbanforest_cli.pipeline.load_parameter_model", lambda path: other)
+    with pytest.raises(InputError, match="crown_size"):
+        populate(request(city, tmp_path / "out", **given))
     assert not (tmp_path / "out").exists()
 
 

@@ -24,7 +24,7 @@ from urbanforest_cli.export.formats.stage import CITY_OUTPUTS, export_city
 from urbanforest_cli.export.stage import export_key
 from urbanforest_cli.files.geopackage import refuse_foreign, refuse_sidecars, row_count
 from urbanforest_cli.files.painted import is_painting, read_painting
-from urbanforest_cli.files.parameter_models import load_parameter_model
+from urbanforest_cli.files.parameter_models import ParameterModel, load_parameter_model
 from urbanforest_cli.files.skeleton_parts import link_parts, remove_strays
 from urbanforest_cli.files.species import load_catalogue
 from urbanforest_cli.files.vectors import list_vector_layers
@@ -54,6 +54,7 @@ from urbanforest_cli.pipeline_image import (
 )
 from urbanforest_cli.placement.stage import place_key, place_plants
 from urbanforest_cli.register.stage import refuse_too_many_bad, stencil_city, stencil_key
+from urbanforest_cli.regression.model_fit import refuse_other_version
 from urbanforest_cli.regression.stage import regress_key, regress_register
 
 STAGES = ("cover", "stencil", "regress", "diffuse", "place", "grow", "export")
@@ -160,7 +161,7 @@ def stage_keys(request: Request, mapping: Mapping | None = None, coverage: Path 
     )
     keys["stencil"] = before
     if "regress" in request.stages:
-        model = load_parameter_model(request.parameter_model)
+        model = _parameter_model(request)
         before = keys["regress"] = regress_key(before, config=config, seed=seed, model_sha256=model.sha256)
     diffuse = diffuse_key(before, config=config, seed=seed)
     place = place_key(diffuse, config=config, seed=seed, catalogue=catalogue)
@@ -186,8 +187,15 @@ def _look(request: Request) -> Mapping | None:
     elif request.sketch is not None:
         list_vector_layers(request.sketch)
     if "regress" in request.stages:
-        load_parameter_model(request.parameter_model)
+        _parameter_model(request)
     return mapping
+
+
+def _parameter_model(request: Request) -> ParameterModel:
+    """Return the model that `regress` will use, which must be one of this version."""
+    model = load_parameter_model(request.parameter_model)
+    refuse_other_version(model.info, model.path)
+    return model
 
 
 def _sketch_grid(request: Request, mapping: Mapping | None) -> RasterGrid | None:

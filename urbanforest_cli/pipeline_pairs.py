@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import geopandas as gpd
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from urbanforest_cli.core.config import Config, Placement, Species
-from urbanforest_cli.core.errors import InputError
+from urbanforest_cli.core.config import Placement
 from urbanforest_cli.core.kernels import announce_compile
 from urbanforest_cli.core.lot_windows import Surroundings, WindowPlaces, lot_windows, window_places
 from urbanforest_cli.core.notices import Notices
@@ -25,41 +23,24 @@ from urbanforest_cli.core.parameter_model import STRATEGIES_READ
 from urbanforest_cli.core.progress import Progress, silent
 from urbanforest_cli.core.randomness import hash_uniform, keys_for
 from urbanforest_cli.core.schema import REGRESSED
-from urbanforest_cli.files.species import load_catalogue
-from urbanforest_cli.files.vector_formats import split_source
-from urbanforest_cli.files.vectors import list_vector_layers, read_vector
+from urbanforest_cli.pipeline_towns import Town, plain_town, towns_of
 from urbanforest_cli.placement.sites import Positions, Sites
 from urbanforest_cli.placement.strategies import KERNELS, strategy_named
 from urbanforest_cli.placement.thinning import index_within, kept_by_count
-from urbanforest_cli.register.cleaning import first_look, repair
 from urbanforest_cli.register.envelopes import subtract
-from urbanforest_cli.register.lots import clean_lots
 from urbanforest_cli.regression.degrade import map_faults, painted_windows
-from urbanforest_cli.regression.designs import Drawn, draw_pairs, plain_lots, used_by
+from urbanforest_cli.regression.designs import Drawn, draw_pairs, used_by
 from urbanforest_cli.regression.features import features_of, network_windows
 from urbanforest_cli.regression.pair_table import PairTable, joined
-from urbanforest_cli.synth.city import build_city
 
-SYNTHETIC_LOTS, PLAIN_LOTS, REAL_LOTS_MOST = 1600, 2400, 4000
 PAIRS_A_CHUNK, LOTS_A_BATCH = 512, 256
 ARC_SEGMENTS = 6
-SMALLEST_LOT_M2, LONGEST_LOT_M = 60.0, 500.0
 REACH_M = 16.0
 """How far a crown of the neighbours may reach into a window."""
 
 Shapes = NDArray[Any]
 Integers = NDArray[np.int64]
 Keys = NDArray[np.uint64]
-
-
-@dataclass(frozen=True)
-class _Town:
-    """Lots and buildings in one plane, in metres; `first` is the number of its first lot among all."""
-
-    name: str
-    lots: Shapes
-    buildings: Shapes
-    first: int
 
 
 @dataclass(frozen=True)
@@ -100,7 +81,8 @@ def make_pairs(
         Pairs to make.
     lots
         Files of real lots, ``FILE`` or ``FILE:LAYER``, used beside those of a procedural city and plain shapes;
-        their layer ``buildings`` too, where there is one.
+        their layer ``buildings`` too, where there is one. A lot that is there several times, in one file or in
+        several, is taken once.
     design
         ``S`` or ``P``: one of the two frozen test designs, plain lots of 10 to 60 or 60 to 100 m, a lot a pair.
     degraded
@@ -109,17 +91,17 @@ def make_pairs(
         (count, 6) and (count,) to use instead of what is drawn for a pair; its lot, house and chance stay as they
         are. NaN and -1 leave what is drawn.
     notices
-        Takes what was repaired in files of lots.
+        Takes what was repaired in files of lots, and which lots were left out.
 
     Raises
     ------
     InputError
-        A file of lots cannot be read, or holds no lot that can be used.
+        A file of lots cannot be read, holds no lot that can be used, or is named twice.
     """
     towns = (
-        _towns(lots, seed, Notices() if notices is None else notices)
+        towns_of(lots, seed, Notices() if notices is None else notices)
         if design is None
-        else [_plain_town(count, seed, design)]
+        else [plain_town(count, seed, design)]
     )
     announce_compile([kernel for name in STRATEGIES_READ for kernel in KERNELS[name]], progress)
     pool = sum(len(town.lots) for town in towns)
@@ -149,51 +131,7 @@ def make_pairs(
     return joined(tables).take(np.argsort(np.concatenate(numbers), kind="stable"))
 
 
-def _plain_town(count: int, seed: int, design: str) -> _Town:
-    lots, houses = plain_lots(keys_for(seed, f"plain lots {design}", map(str, range(count))), design)
-    return _Town(design, lots, houses, 0)
-
-
-def _towns(sources: Sequence[str | Path], seed: int, notices: Notices) -> list[_Town]:
-    """Return a procedural city, plain lots, and the real lots asked for."""
-    city = build_city(SYNTHETIC_LOTS, seed, load_catalogue(Species()))
-    towns = [_Town("synth", city.lots.shapes, city.buildings.shapes, 0)]
-    towns.append(_plain_town(PLAIN_LOTS, seed, "mixed"))
-    towns += [_real_town(str(source), seed, notices) for source in sources]
-    firsts = np.cumsum([0, *(len(town.lots) for town in towns)])
-    return [replace(town, first=int(first)) for town, first in zip(towns, firsts, strict=False)]
-
-
-def _real_town(source: str, seed: int, notices: Notices) -> _Town:
-    """Read real lots, cleaned as for a register; of very many, those nearest to one of them."""
-    path, layer = split_source(source)
-    frame = read_vector(path, layer=layer, notices=notices)
-    frame = gpd.GeoDataFrame(geometry=frame.geometry.to_numpy(), crs=frame.crs)
-    lots = clean_lots(frame, Config(), notices, path)
-    shapes = lots.checked.shapes[lots.checked.usable]
-    west, south, east, north = shapely.bounds(shapes).T
-    longest = np.maximum(east - west, north - south)
-    shapes = shapes[(shapely.area(shapes) >= SMALLEST_LOT_M2) & (longest <= LONGEST_LOT_M)]
-    if not len(shapes):
-        raise InputError(
-            "no lot that pairs can be made on", where=source,
-            expected=f"polygons from {SMALLEST_LOT_M2:g} m2, up to {LONGEST_LOT_M:g} m long",
-        )  # fmt: skip
-    if len(shapes) > REAL_LOTS_MOST:
-        middles = shapely.centroid(shapes)
-        pick = int(hash_uniform(keys_for(seed, "pairs real", [path.name]), np.zeros(1, np.int64))[0] * len(shapes))
-        near = np.argsort(shapely.distance(middles, middles[pick]), kind="stable")[:REAL_LOTS_MOST]
-        shapes = shapes[np.sort(near)]
-    houses = np.empty(0, dtype=object)
-    if "buildings" in dict(list_vector_layers(path)):
-        built = read_vector(path, layer="buildings", assume_crs=frame.crs, notices=notices)
-        checked = first_look(lots.project(built), np.arange(len(built)).astype(str), notices, what="buildings")
-        repair(checked, np.arange(len(built)).astype(str), notices, what="buildings")
-        houses = checked.shapes[checked.usable]
-    return _Town(path.name, shapes, houses, 0)
-
-
-def _tables(town: _Town, rows: Integers, keys: Keys, drawn: Drawn, degraded: bool, workers: int) -> Iterator[PairTable]:
+def _tables(town: Town, rows: Integers, keys: Keys, drawn: Drawn, degraded: bool, workers: int) -> Iterator[PairTable]:
     """Plant a town once and yield the pairs of some of its lots, in their order."""
     if not len(rows):
         return
@@ -228,12 +166,12 @@ def _tables(town: _Town, rows: Integers, keys: Keys, drawn: Drawn, degraded: boo
         yield from pool.map(table, range(0, len(rows), PAIRS_A_CHUNK))
 
 
-def _lot_numbers(town: _Town) -> NDArray[np.int32]:
+def _lot_numbers(town: Town) -> NDArray[np.int32]:
     """Return the number that each lot of a town has among all."""
     return (town.first + np.arange(len(town.lots))).astype(np.int32)
 
 
-def _near(town: _Town, rows: Integers) -> Integers:
+def _near(town: Town, rows: Integers) -> Integers:
     """Return the lots from which a crown may reach into the windows of some lots, those included."""
     bounds = window_places(town.lots[rows]).bounds + np.array([-REACH_M, -REACH_M, REACH_M, REACH_M])
     return np.unique(shapely.STRtree(town.lots).query(shapely.box(*bounds.T))[1])
@@ -246,7 +184,7 @@ def _one_each(places: WindowPlaces, keys: Keys) -> WindowPlaces:
     return places.take(first + np.floor(number * hash_uniform(keys, np.full(len(keys), 77))).astype(np.int64))
 
 
-def _plant(town: _Town, rows: Integers, keys: Keys, drawn: Drawn, workers: int) -> _Grove:
+def _plant(town: Town, rows: Integers, keys: Keys, drawn: Drawn, workers: int) -> _Grove:
     """Plant some lots of a town, each by its own strategy and parameters."""
     areas = _grounds(town, rows, drawn)
     settings = Placement()
@@ -278,7 +216,7 @@ def _plant(town: _Town, rows: Integers, keys: Keys, drawn: Drawn, workers: int) 
     return _Grove(xy[kept], radius[kept], crowns[kept], site[kept], xy, site)
 
 
-def _grounds(town: _Town, rows: Integers, drawn: Drawn) -> Shapes:
+def _grounds(town: Town, rows: Integers, drawn: Drawn) -> Shapes:
     """Return the ground of some lots: all that is farther from buildings than the clearance drawn."""
     lots = town.lots[rows]
     built = np.flatnonzero(drawn.with_building[rows])

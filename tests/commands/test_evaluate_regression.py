@@ -52,3 +52,28 @@ def test_what_does_not_go_together_is_refused(runner, tmp_path):
         assert outcome.exit_code == 2, option
         assert value in outcome.stderr
         assert "Traceback" not in outcome.stderr
+
+
+def test_what_files_of_lots_need_is_told_once_however_often_pairs_are_made(runner, monkeypatch):
+    from tests.regression.judging.made_pairs import disc_pairs
+    from urbanforest_cli import pipeline_pairs
+    from urbanforest_cli.core.notices import Notices
+    from urbanforest_cli.regression.judging import stage
+
+    told = []
+
+    def make_pairs(count, *, notices, lots, **rest):
+        if notices is not None:
+            notices.add("W_PAIRS_SMALL", "small lots", len(lots))
+        return disc_pairs(count, 1)
+
+    def evaluate(make, *, notices: Notices, **rest):
+        for seed in range(3):
+            make(10, seed)
+        told.extend(notices.as_records())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline_pairs, "make_pairs", make_pairs)
+    monkeypatch.setattr(stage, "evaluate_regression", evaluate)
+    assert runner("evaluate-regression", "--lots", "a.gpkg").exit_code == 130
+    assert [(notice["code"], notice["count"]) for notice in told] == [("W_PAIRS_SMALL", 1)]

@@ -24,6 +24,7 @@ def pairs_made(monkeypatch):
 
     def make(count, **options):
         asked.append((count, options))
+        options["notices"].add("W_PAIRS_SMALL", "small lots", len(options["lots"]))
         return squares(count)
 
     monkeypatch.setattr(pipeline_pairs, "make_pairs", make)
@@ -37,6 +38,7 @@ def test_pairs_become_a_model(tmp_path, runner, pairs_made):
     assert done.exit_code == 0, done.stderr
     record = json.loads(done.stdout)
     assert record["counts"]["epochs"] == 2
+    assert [notice["count"] for notice in record["warnings"] if notice["code"] == "W_PAIRS_SMALL"] == [1]
     assert load_parameter_model(model).sha256 == record["counts"]["sha256"]
     (count, asked), *_ = pairs_made
     assert (count, asked["lots"], asked["seed"], asked["workers"]) == (240, [Path("town.gpkg:parcels")], 3, 1)

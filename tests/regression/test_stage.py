@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -271,6 +272,14 @@ def test_a_map_that_shows_nothing_at_all_is_no_fault(register):
 def test_features_that_the_network_asks_for_are_there():
     assert set(INFO.features) <= set(FEATURES)
     assert reading.PLANTS in FEATURES
+
+
+def test_a_model_of_another_version_is_refused_and_nothing_is_written(register, model):
+    before = register.read_bytes()
+    model.info = replace(INFO, features=("crown_size",))
+    with pytest.raises(InputError, match="crown_size"):
+        regressed(register)
+    assert register.read_bytes() == before
 
 
 @pytest.mark.skipif(not SHIPPED.is_file(), reason="no parameter model is shipped")

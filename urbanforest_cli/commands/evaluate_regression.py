@@ -36,7 +36,8 @@ BASELINE_PAIRS = 16_000
 @click.option("--faults/--no-faults", default=None,
               help="Whether maps have the faults of real ones.  [default: on held-out pairs only]")  # fmt: skip
 @click.option("--lots", multiple=True, metavar="FILE[:LAYER]",
-              help="Make held-out pairs on these lots too. Repeatable.")  # fmt: skip
+              help="Make held-out pairs on these lots too; a model trained on the same lots has seen their shapes. "
+                   "Repeatable.")  # fmt: skip
 @click.option("--baselines", is_flag=True,
               help="Teach classical estimators and gradient boosting on as many pairs of the same design.")  # fmt: skip
 @click.option("--baseline-pairs", type=click.IntRange(300, 1_000_000), metavar="N",
@@ -66,7 +67,7 @@ def command(
     workers: int,
     as_json: bool,
 ) -> None:
-    """Judge how well a model reads placement parameters off coverage, on pairs that nobody has seen.
+    """Judge how well a model reads placement parameters off coverage, on pairs made anew.
 
     Tells for each parameter R2, 1 less the normalised mean absolute error (NMAE) and the share of pairs within 10 % of
     the range, on those whose strategy uses it, by plants standing in the lot, and beside a predictor that knows
@@ -81,11 +82,14 @@ def command(
     """
     if lots and design != HELD_OUT:
         raise click.UsageError("--lots and --design do not go together: a frozen design has its own lots")
+    from urbanforest_cli.core.notices import Notices
     from urbanforest_cli.pipeline_pairs import make_pairs
     from urbanforest_cli.regression.judging.stage import evaluate_regression
 
     held_out = design == HELD_OUT
     faulty = held_out if faults is None else faults
+    notices = Notices()
+    to_count = iter([notices])  # each call reads the same files: what they need is counted once
     with options.progress() as progress:
 
         def make(
@@ -103,6 +107,7 @@ def command(
                 values=values,
                 strategies=strategies,
                 workers=workers,
+                notices=next(to_count, None),
                 progress=progress,
             )
 
@@ -118,6 +123,7 @@ def command(
             markdown=markdown,
             seed=seed or 0,
             threads=workers,
+            notices=notices,
             progress=progress,
         )
     if as_json:

@@ -12,6 +12,7 @@ from urbanforest_cli.commands.train_coverage import onnx_path
 from urbanforest_cli.regression.learning.settings import LOSSES, NETWORKS, UNUSED
 
 if TYPE_CHECKING:
+    from urbanforest_cli.core.notices import Notices
     from urbanforest_cli.core.progress import Progress
     from urbanforest_cli.regression.pair_table import PairTable
 
@@ -81,11 +82,11 @@ def command(
     from urbanforest_cli.regression.learning.stage import CHECKPOINT, train_regression
     from urbanforest_cli.regression.learning.story import RegressionRequest
 
-    def make(progress: Progress) -> PairTable:
+    def make(progress: Progress, notices: Notices) -> PairTable:
         def of_kind(count: int, kind: str, seed: int) -> PairTable:
             sources = [] if kind else [Path(source) for source in lots]
             return make_pairs(
-                count, lots=sources, seed=seed, design=kind or None, workers=threads,
+                count, lots=sources, seed=seed, design=kind or None, workers=threads, notices=notices,
                 progress=lambda task, done, total: progress(f"{task} {kind}".strip(), done, total),
             )  # fmt: skip
 

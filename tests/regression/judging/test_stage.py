@@ -9,7 +9,9 @@ import pytest
 
 from tests.regression.judging.made_pairs import disc_pairs
 from urbanforest_cli.core.errors import InputError, OutputExistsError
+from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.schema import REGRESSED
+from urbanforest_cli.regression import model_fit
 from urbanforest_cli.regression.judging import stage
 from urbanforest_cli.regression.judging.predictions import LOW, RANGE, shares
 
@@ -56,11 +58,13 @@ def _made(monkeypatch):
         if path.stem == "broken":
             raise InputError("the model is damaged", where=path)
         info = SimpleNamespace(
-            features=tuple(reversed(NAMES)), parameters=tuple(reversed(REGRESSED)), network="informed"
-        )
+            features=tuple(reversed(NAMES)), parameters=tuple(reversed(REGRESSED)), network="informed",
+            window_px=32 if path.stem == "other" else 64,
+        )  # fmt: skip
         return SimpleNamespace(path=path, content=b"", sha256="0" * 64, info=info)
 
     monkeypatch.setattr(stage, "FEATURES", NAMES)
+    monkeypatch.setattr(model_fit, "FEATURES", NAMES)
     monkeypatch.setattr(stage, "HAND_FEATURES", NAMES[:6])
     monkeypatch.setattr(stage, "load_parameter_model", load)
     monkeypatch.setattr(stage, "ParameterSession", FakeSession)
@@ -119,6 +123,7 @@ def test_what_cannot_be_used_is_refused_before_any_pair_is_made(tmp_path):
     (tmp_path / "folder.md").mkdir()
     for arguments, error in (
         ({"models": [Path("broken.onnx")]}, InputError),
+        ({"models": [Path("fine.onnx"), Path("other.onnx")]}, InputError),
         ({"plot": tmp_path / "page.pdf"}, InputError),
         ({"markdown": tmp_path / "scores.txt"}, InputError),
         ({"plot": tmp_path / "mine.png"}, OutputExistsError),
@@ -128,3 +133,15 @@ def test_what_cannot_be_used_is_refused_before_any_pair_is_made(tmp_path):
             stage.evaluate_regression(make, pairs=200, **arguments)
     assert make.asked == []
     assert (tmp_path / "mine.png").read_text() == "no picture"
+
+
+def test_what_was_counted_while_pairs_were_made_is_told():
+    notices = Notices()
+
+    class Telling(Maker):
+        def __call__(self, *what, **rest):
+            notices.add("W_PAIRS_SMALL", "small lots", 3)
+            return super().__call__(*what, **rest)
+
+    summary = stage.evaluate_regression(Telling(), pairs=200, notices=notices)
+    assert [(notice["code"], notice["count"]) for notice in summary.as_record()["warnings"]] == [("W_PAIRS_SMALL", 3)]

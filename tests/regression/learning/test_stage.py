@@ -36,7 +36,7 @@ def request_for(tmp_path):
     def make(name="model", settings=TINY, pairs=None, **what):
         table = squares(320) if pairs is None else pairs
         return RegressionRequest(
-            make=lambda progress: table, pair_count=len(table), output=tmp_path / f"{name}.onnx",
+            make=lambda progress, notices: table, pair_count=len(table), output=tmp_path / f"{name}.onnx",
             work=tmp_path / name, settings=settings, **what,
         )  # fmt: skip
 
@@ -164,7 +164,7 @@ def test_another_training_is_not_gone_on_with(request_for):
     with pytest.raises(StaleError, match=r"learning_rate was 0.002, is 0.0001"):
         train_regression(other)
     with pytest.raises(StaleError, match="fingerprint was"):
-        train_regression(replace(request, resume=True, make=lambda progress: squares(320, seed=1)))
+        train_regression(replace(request, resume=True, make=lambda progress, notices: squares(320, seed=1)))
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "foreign"])
@@ -192,7 +192,7 @@ def test_a_stopped_training_is_not_lost_by_a_second_start(request_for):
         train_regression(request, on_epoch=killed_after(1))
     before = (request.work / CHECKPOINT).read_bytes()
     with pytest.raises(OutputExistsError, match="stopped"):
-        train_regression(replace(request, make=lambda progress: pytest.fail("pairs were made")))
+        train_regression(replace(request, make=lambda progress, notices: pytest.fail("pairs were made")))
     assert (request.work / CHECKPOINT).read_bytes() == before
     assert train_regression(replace(request, overwrite=True)).counts["epochs"] == 3
 
@@ -254,6 +254,18 @@ def test_without_tensorboard_all_else_goes_on(request_for, monkeypatch):
 def test_what_cannot_be_is_refused_before_pairs_are_made(request_for):
     request = request_for(settings=replace(PAPER, loss="nll"))
     with pytest.raises(ConfigError, match="--loss mse"):
-        train_regression(replace(request, make=lambda progress: pytest.fail("pairs were made")))
+        train_regression(replace(request, make=lambda progress, notices: pytest.fail("pairs were made")))
     with pytest.raises(InputError, match="too few pairs"):
         train_regression(request_for(pairs=squares(60)))
+
+
+def test_what_was_counted_while_pairs_were_made_is_told(request_for):
+    def make(progress, notices):
+        notices.add("W_PAIRS_SMALL", "small lots", 3)
+        return squares(320)
+
+    request = replace(request_for(), make=make)
+    for up_to_date in (False, True):
+        summary = train_regression(request)
+        assert summary.up_to_date == up_to_date
+        assert summary.notices.count("W_PAIRS_SMALL") == 3

@@ -44,6 +44,7 @@ from urbanforest_cli.regression.judging.predictions import (
 )
 from urbanforest_cli.regression.judging.results import Judgement, judge
 from urbanforest_cli.regression.judging.scores import LEVEL, RESAMPLES, WITHIN
+from urbanforest_cli.regression.model_fit import refuse_other_version
 from urbanforest_cli.regression.pair_table import PairTable
 
 PNG_HEAD = b"\x89PNG\r\n\x1a\n"
@@ -93,6 +94,7 @@ def evaluate_regression(
     markdown: Path | None = None,
     seed: int = 0,
     threads: int = 1,
+    notices: Notices | None = None,
     progress: Progress = silent,
 ) -> RegressionSummary:
     """Judge parameter models on fresh pairs, beside a predictor that knows nothing and perhaps learnt baselines.
@@ -117,17 +119,21 @@ def evaluate_regression(
         Root of the streams of pairs and draws.
     threads
         To run networks in; the result is the same for any number.
+    notices
+        What `make` counts while pairs are made, for the summary.
 
     Raises
     ------
     InputError
-        A model cannot be used or an output has another kind of name.
+        A model cannot be used or is for another version, or an output has another kind of name.
     OutputExistsError
         A file is in the way that is no picture or table of this program.
     """
     started = time.perf_counter()
     refuse_outputs(plot, markdown)
     loaded = [load_parameter_model(path) for path in models or (None,)]
+    for model in loaded:
+        refuse_other_version(model.info, model.path)
     predictors: dict[str, Predictor] = {
         name: by_model(model, threads) for name, model in zip(_names(loaded), loaded, strict=True)
     }
@@ -157,8 +163,15 @@ def evaluate_regression(
         "design": design, "lots": list(lots), "seed": seed, "baselines_learnt_from": baseline_pairs,
         "within": WITHIN, "interval": {"level": LEVEL, "resamples": RESAMPLES, "over": "lots"},
     }  # fmt: skip
-    return RegressionSummary("evaluate-regression", plot or markdown or loaded[0].path, _counts(judgement), Notices(),
-                             time.perf_counter() - started, judgement=judgement, about=about)  # fmt: skip
+    return RegressionSummary(
+        "evaluate-regression",
+        plot or markdown or loaded[0].path,
+        _counts(judgement),
+        Notices() if notices is None else notices,
+        time.perf_counter() - started,
+        judgement=judgement,
+        about=about,
+    )
 
 
 def refuse_outputs(plot: Path | None, markdown: Path | None) -> None:

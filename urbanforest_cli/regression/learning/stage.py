@@ -68,7 +68,7 @@ def train_regression(
         raise ConfigError("settings that cannot be", found="; ".join(faults), next_step="see --help")
     _refuse_lost_work(request)
     notices = Notices()
-    pairs = request.make(progress)
+    pairs = request.make(progress, notices)
     parts = parted(pairs, request.settings)
     if min(len(parts.training), len(parts.calibration), len(parts.validation)) < FEWEST_PAIRS:
         raise InputError(

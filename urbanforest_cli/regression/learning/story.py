@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from urbanforest_cli import __version__
+from urbanforest_cli.core.notices import Notices
 from urbanforest_cli.core.parameter_model import ParameterModelInfo
 from urbanforest_cli.core.progress import Progress
 from urbanforest_cli.core.schema import REGRESSED
@@ -23,7 +24,7 @@ from urbanforest_cli.regression.pair_table import PairTable
 if TYPE_CHECKING:
     from urbanforest_cli.regression.learning.training import Weights
 
-MakePairs = Callable[[Progress], PairTable]
+MakePairs = Callable[[Progress, Notices], PairTable]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +34,7 @@ class RegressionRequest:
     Parameters
     ----------
     make
-        Makes the pairs; always the same ones.
+        Makes the pairs; always the same ones. Counts there what it repairs and leaves out.
     pair_count, lots
         How many, and files of real lots that some of them are made on, as a user named them.
     output, work
