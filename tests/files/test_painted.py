@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -178,3 +180,9 @@ def test_files_are_told_by_their_names(tmp_path):
         False,
         False,
     ]
+
+
+def test_an_aerial_image_with_dark_ground_is_refused():
+    image = Path(__file__).parents[2] / "data_samples" / "sample_city.tif"
+    with pytest.raises(InputError, match="photograph"):
+        read_painting(image, like=None, assume_crs=None, notices=Notices())
